@@ -1,0 +1,93 @@
+//! glTF and OBJ in and out, without losing what is not understood.
+//!
+//! [`Document`] is a glTF document as `serde_json::Value` with its buffers and image files in memory;
+//! OBJ is turned into one at the door, so that there is one way through the house. [`TextureSet`] is one
+//! Atlas with what is needed to bake its images and write it back.
+
+use serde_json::Value;
+
+use crate::atlas::Atlas;
+use crate::texture::{Alpha, Header, Role, Wrap};
+
+/// A file as uploaded: its relative path (forward slashes) and its bytes.
+#[derive(Debug, Clone)]
+pub struct File {
+    /// Relative path, as glTF URIs, `mtllib` and `map_Kd` name it.
+    pub path: String,
+    /// Contents.
+    pub bytes: Vec<u8>,
+}
+
+/// A glTF document with everything that it refers to.
+#[derive(Debug, Clone)]
+pub struct Document {
+    /// The document. Values that are not touched stay equal.
+    pub json: Value,
+    /// Contents by buffer index, each at least `byteLength` long.
+    pub buffers: Vec<Vec<u8>>,
+    /// Encoded contents by image index; `None` where the file was not uploaded.
+    pub images: Vec<Option<Vec<u8>>>,
+    /// Name of the uploaded model file without its extension.
+    pub name: String,
+}
+
+/// A primitive that takes part in a texture set.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PrimitiveRef {
+    /// Index into `/meshes`.
+    pub mesh: usize,
+    /// Index into `/meshes/N/primitives`.
+    pub primitive: usize,
+    /// Index into `/materials`.
+    pub material: Option<usize>,
+    /// Number of the TEXCOORD set that is refined.
+    pub uv_set: usize,
+    /// First face of the primitive in the Atlas as uploaded; its faces are contiguous.
+    pub first_face: usize,
+    /// Number of faces.
+    pub face_count: usize,
+    /// The glTF vertex of each corner of each face, as the index buffer names it.
+    pub corners: Vec<[u32; 3]>,
+}
+
+/// One image of a texture set: what is baked to the new layout.
+#[derive(Debug, Clone)]
+pub struct Slot {
+    /// Index into `/images`.
+    pub image: usize,
+    /// What the image means; the first in the order of [`Role`] where it has several.
+    pub role: Role,
+    /// Name in reports and files, unique in the set: the role, with a number where there are several.
+    pub name: String,
+    /// Size and format from the header.
+    pub header: Header,
+    /// Wrap modes (S, T) of the sampler that reads it.
+    pub wrap: [Wrap; 2],
+    /// Whether its sampler's minification filter reads mipmaps (the default when the filter is not given).
+    pub mipmaps: bool,
+    /// Alpha mode of the material(s) reading it; `Opaque` for everything but base colour.
+    pub alpha: Alpha,
+    /// Which of the set's primitives read it (index into `primitives`).
+    pub primitives: Vec<u32>,
+    /// Slots that stay as they are (one colour, or under 1/8 of the reference): not baked, UVs of [0,1] still fit them.
+    pub exempt: bool,
+}
+
+/// A texture set: one Atlas, its primitives and its images.
+#[derive(Debug, Clone)]
+pub struct TextureSet {
+    /// Position in the model's list of texture sets, from 0.
+    pub id: usize,
+    /// Name for people: the materials' names, or the model's.
+    pub name: String,
+    /// The Atlas as uploaded, charts brought home; one face for each triangle of each primitive, in order.
+    pub atlas: Atlas,
+    /// Size of the reference sheet: the size of the largest slot (or a virtual 1024 x 1024).
+    pub reference: [u32; 2],
+    /// Primitives by the index that provenance names.
+    pub primitives: Vec<PrimitiveRef>,
+    /// Images, in the order of role and image index. Empty for a virtual page.
+    pub slots: Vec<Slot>,
+    /// Smallest translation, in reference texels (x, y), for which every slot's texels stay whole; null where there is none.
+    pub grid: Option<[u32; 2]>,
+}

@@ -1,0 +1,121 @@
+//! Charts and their boundary loops, derived from the topology.
+
+use super::topology::{HalfEdge, NONE};
+use super::{Atlas, ChartId, FaceId, Topology, UvId};
+
+/// The charts of an Atlas: connected components of faces over UV edges.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Charts {
+    /// Chart by [`FaceId`]. Charts are numbered by their smallest face.
+    pub of_face: Vec<ChartId>,
+    /// Faces by [`ChartId`], ascending.
+    pub faces: Vec<Vec<FaceId>>,
+}
+
+impl Charts {
+    /// Derives the charts.
+    pub fn new(topology: &Topology) -> Self {
+        let n = topology.uv_twin.len() / 3;
+        let mut of_face = vec![ChartId(u32::MAX); n];
+        let mut faces: Vec<Vec<FaceId>> = Vec::new();
+        let mut stack = Vec::new();
+        for seed in 0..n {
+            if of_face[seed].0 != u32::MAX {
+                continue;
+            }
+            let chart = ChartId::new(faces.len());
+            of_face[seed] = chart;
+            stack.push(seed);
+            let mut own = Vec::new();
+            while let Some(f) = stack.pop() {
+                own.push(FaceId::new(f));
+                for k in 0..3 {
+                    let twin = topology.uv_twin[3 * f + k];
+                    if twin == NONE {
+                        continue;
+                    }
+                    let g = (twin / 3) as usize;
+                    if of_face[g].0 == u32::MAX {
+                        of_face[g] = chart;
+                        stack.push(g);
+                    }
+                }
+            }
+            own.sort_unstable();
+            faces.push(own);
+        }
+        Charts { of_face, faces }
+    }
+
+    /// Number of charts.
+    pub fn len(&self) -> usize {
+        self.faces.len()
+    }
+
+    /// Whether there is no chart.
+    pub fn is_empty(&self) -> bool {
+        self.faces.is_empty()
+    }
+
+    /// All charts in order.
+    pub fn ids(&self) -> impl ExactSizeIterator<Item = ChartId> + use<> {
+        (0..self.faces.len()).map(ChartId::new)
+    }
+}
+
+/// The closed boundary loops of an Atlas' charts, each a cycle of border half edges.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Loops {
+    /// Chart of each loop.
+    pub chart: Vec<ChartId>,
+    /// Half edges of each loop, in order; the end of one is the start of the next.
+    pub half_edges: Vec<Vec<HalfEdge>>,
+}
+
+impl Loops {
+    /// Walks every border edge once, turning about each border vertex over the faces of its fan,
+    /// so that a chart that touches itself at a vertex gives separate loops.
+    pub fn new(topology: &Topology, charts: &Charts) -> Self {
+        let mut seen = vec![false; topology.uv_twin.len()];
+        let mut chart = Vec::new();
+        let mut half_edges = Vec::new();
+        for start in 0..topology.uv_twin.len() as u32 {
+            if topology.uv_twin[start as usize] != NONE || seen[start as usize] {
+                continue;
+            }
+            let mut cycle = Vec::new();
+            let mut h = start;
+            while !seen[h as usize] {
+                seen[h as usize] = true;
+                cycle.push(h);
+                h = next_border(topology, h);
+            }
+            chart.push(charts.of_face[(start / 3) as usize]);
+            half_edges.push(cycle);
+        }
+        Loops { chart, half_edges }
+    }
+
+    /// The UV vertices of a loop, in order.
+    pub fn uv_vertices<'a>(&'a self, atlas: &'a Atlas, index: usize) -> impl Iterator<Item = UvId> + 'a {
+        self.half_edges[index].iter().map(|&h| atlas.corners[(h / 3) as usize][(h % 3) as usize])
+    }
+}
+
+/// The border half edge that follows `h` about the end vertex of `h`.
+fn next_border(topology: &Topology, h: HalfEdge) -> HalfEdge {
+    let mut current = next_in_face(h);
+    // A fan has at most as many faces as there are half edges; inconsistent winding cannot trap us.
+    for _ in 0..topology.uv_twin.len() {
+        let twin = topology.uv_twin[current as usize];
+        if twin == NONE {
+            return current;
+        }
+        current = next_in_face(twin);
+    }
+    current
+}
+
+fn next_in_face(h: HalfEdge) -> HalfEdge {
+    h / 3 * 3 + (h + 1) % 3
+}

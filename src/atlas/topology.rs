@@ -1,0 +1,100 @@
+//! Which face lies across which edge. Topology knows no positions.
+
+use super::{Atlas, FaceId};
+
+/// An edge of a face: `3 * face + k` is the edge from corner `k` to corner `k + 1`.
+pub type HalfEdge = u32;
+
+/// No half edge: the edge is a border.
+pub const NONE: HalfEdge = u32::MAX;
+
+/// Adjacency of an Atlas' faces, in UV and on the surface.
+///
+/// Two faces are neighbours in UV when they share an edge with the same two UV vertices and the
+/// same two surface vertices; such an edge is interior to a chart. An edge shared by more than two
+/// faces is non-manifold: its faces are paired in the order of opposite direction first, then of face
+/// index, and what is left over is border.
+#[derive(Debug, Clone)]
+pub struct Topology {
+    /// By half edge: the half edge across, in the same chart, or [`NONE`].
+    pub uv_twin: Vec<HalfEdge>,
+    /// By half edge: the half edge across on the welded surface, or [`NONE`] at the mesh boundary.
+    /// Where `uv_twin` is not [`NONE`] both agree.
+    pub surface_twin: Vec<HalfEdge>,
+    /// Number of surface edges with more than two faces.
+    pub non_manifold_edges: usize,
+}
+
+impl Topology {
+    /// Derives the adjacency of `atlas`.
+    pub fn new(atlas: &Atlas) -> Self {
+        let n = atlas.face_count() * 3;
+        let mut uv_twin = vec![NONE; n];
+        let mut keys = sorted_edges(n, |h| {
+            let [a, b] = edge(&atlas.corners[h / 3], h % 3);
+            (a.0, b.0)
+        });
+        pair_runs(&mut keys, &mut uv_twin, &[]);
+        let mut surface_twin = uv_twin.clone();
+        let mut keys = sorted_edges(n, |h| {
+            let [a, b] = edge(&atlas.surface.triangles[h / 3], h % 3);
+            (a.0, b.0)
+        });
+        let non_manifold_edges = pair_runs(&mut keys, &mut surface_twin, &uv_twin);
+        Topology { uv_twin, surface_twin, non_manifold_edges }
+    }
+
+    /// The face of a half edge.
+    pub fn face(half_edge: HalfEdge) -> FaceId {
+        FaceId(half_edge / 3)
+    }
+
+    /// Whether the edge is a seam: interior to the surface, border of a chart.
+    pub fn is_seam(&self, half_edge: HalfEdge) -> bool {
+        self.uv_twin[half_edge as usize] == NONE && self.surface_twin[half_edge as usize] != NONE
+    }
+}
+
+fn edge<T: Copy>(corners: &[T; 3], k: usize) -> [T; 2] {
+    [corners[k], corners[(k + 1) % 3]]
+}
+
+/// (low, high, reversed, half edge), sorted.
+fn sorted_edges(n: usize, ends: impl Fn(usize) -> (u32, u32)) -> Vec<(u32, u32, bool, u32)> {
+    let mut keys: Vec<_> = (0..n)
+        .map(|h| {
+            let (a, b) = ends(h);
+            (a.min(b), a.max(b), a > b, h as u32)
+        })
+        .filter(|k| k.0 != k.1)
+        .collect();
+    keys.sort_unstable();
+    keys
+}
+
+/// Pairs the half edges of each run of equal edges. Those already paired in `taken` stay.
+fn pair_runs(keys: &mut [(u32, u32, bool, u32)], twin: &mut [HalfEdge], taken: &[HalfEdge]) -> usize {
+    let mut crowded = 0;
+    for run in keys.chunk_by_mut(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        crowded += usize::from(run.len() > 2);
+        let free: Vec<_> = run.iter().filter(|k| taken.get(k.3 as usize).is_none_or(|t| *t == NONE)).copied().collect();
+        let (forward, backward): (Vec<_>, Vec<_>) = free.into_iter().partition(|k| !k.2);
+        let pairs = forward.len().min(backward.len());
+        for (a, b) in forward.iter().zip(&backward) {
+            join(twin, a.3, b.3);
+        }
+        // Inconsistent winding: the rest runs the same way round.
+        let rest = if forward.len() > backward.len() { &forward[pairs..] } else { &backward[pairs..] };
+        for pair in rest.chunks_exact(2) {
+            join(twin, pair[0].3, pair[1].3);
+        }
+    }
+    crowded
+}
+
+fn join(twin: &mut [HalfEdge], a: HalfEdge, b: HalfEdge) {
+    if a / 3 != b / 3 {
+        twin[a as usize] = b;
+        twin[b as usize] = a;
+    }
+}

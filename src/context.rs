@@ -1,0 +1,182 @@
+//! What a stage may know of the world: progress, cancellation, seed, budget and clock.
+
+use std::sync::Arc;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::error::{Code, Failure, Result, Warning};
+
+/// Where progress and warnings go. Implementations must be cheap: they are called from loops.
+pub trait Listener: Send + Sync {
+    /// `fraction` in 0..=1 of the whole job; never falls.
+    fn progress(&self, _progress: &Progress) {}
+    /// A warning, as it is found.
+    fn warning(&self, _warning: &Warning) {}
+}
+
+/// A listener that hears nothing.
+pub struct Silent;
+impl Listener for Silent {}
+
+/// Where a job stands.
+#[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+pub struct Progress {
+    /// Fraction of the whole job in 0..=1; never falls.
+    pub fraction: f64,
+    /// Name of the current stage.
+    pub stage: String,
+    /// Index of the current stage, from 0.
+    pub stage_index: u32,
+    /// Number of stages.
+    pub stage_count: u32,
+    /// A few words on what is being done.
+    pub message: String,
+}
+
+/// Seconds that a stage took.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+pub struct Timing {
+    /// Name of the stage.
+    pub stage: String,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+struct State {
+    progress: Progress,
+    weights: Vec<(String, f64)>,
+    timings: Vec<Timing>,
+    warnings: Vec<Warning>,
+    started: Instant,
+}
+
+/// Carries progress, cancellation and the seed through a job; alone reads the clock.
+pub struct Context {
+    listener: Arc<dyn Listener>,
+    cancel: Arc<AtomicBool>,
+    deadline: Option<Instant>,
+    /// Seed of every random choice.
+    pub seed: u64,
+    state: Mutex<State>,
+}
+
+impl Context {
+    /// A context that reports to `listener` and stops when `cancel` becomes true.
+    pub fn new(listener: Arc<dyn Listener>, cancel: Arc<AtomicBool>, seed: u64) -> Self {
+        Context {
+            listener,
+            cancel,
+            deadline: None,
+            seed,
+            state: Mutex::new(State {
+                progress: Progress::default(),
+                weights: Vec::new(),
+                timings: Vec::new(),
+                warnings: Vec::new(),
+                started: Instant::now(),
+            }),
+        }
+    }
+
+    /// A context for tests and small calls: silent, never cancelled, seed 0.
+    pub fn silent() -> Self {
+        Self::new(Arc::new(Silent), Arc::new(AtomicBool::new(false)), 0)
+    }
+
+    /// Sets the wall-clock limit of the job, from now.
+    pub fn with_time_limit(mut self, limit: Option<Duration>) -> Self {
+        self.deadline = limit.map(|l| Instant::now() + l);
+        self
+    }
+
+    /// Names the stages of the job in order, with their expected share of the work.
+    pub fn plan(&self, stages: &[(&str, f64)]) {
+        let total: f64 = stages.iter().map(|s| s.1).sum();
+        let mut state = self.lock();
+        state.weights = stages.iter().map(|(n, w)| ((*n).to_owned(), w / total.max(1e-9))).collect();
+        state.progress.stage_count = stages.len() as u32;
+    }
+
+    /// Enters the planned stage `index`; the time of the one before ends here.
+    pub fn enter(&self, index: usize) {
+        let mut state = self.lock();
+        self.close_stage(&mut state);
+        state.started = Instant::now();
+        state.progress.stage_index = index as u32;
+        state.progress.stage = state.weights.get(index).map(|w| w.0.clone()).unwrap_or_default();
+        state.progress.message.clear();
+        let before: f64 = state.weights.iter().take(index).map(|w| w.1).sum();
+        state.progress.fraction = state.progress.fraction.max(before.min(1.0));
+        self.listener.progress(&state.progress);
+    }
+
+    /// Ends the last stage; the fraction becomes 1.
+    pub fn finish(&self) {
+        let mut state = self.lock();
+        self.close_stage(&mut state);
+        state.progress.fraction = 1.0;
+        self.listener.progress(&state.progress);
+    }
+
+    fn close_stage(&self, state: &mut State) {
+        if !state.progress.stage.is_empty() {
+            let timing = Timing { stage: state.progress.stage.clone(), seconds: state.started.elapsed().as_secs_f64() };
+            state.timings.push(timing);
+            state.progress.stage.clear();
+        }
+    }
+
+    /// Reports that `fraction` (0..=1) of the current stage is done, and checks for cancellation.
+    pub fn step(&self, fraction: f64, message: &str) -> Result<()> {
+        self.check()?;
+        let mut state = self.lock();
+        let index = state.progress.stage_index as usize;
+        let before: f64 = state.weights.iter().take(index).map(|w| w.1).sum();
+        let own = state.weights.get(index).map_or(0.0, |w| w.1);
+        let whole = (before + own * fraction.clamp(0.0, 1.0)).min(1.0);
+        state.progress.fraction = state.progress.fraction.max(whole);
+        if state.progress.message != message {
+            state.progress.message = message.to_owned();
+        }
+        self.listener.progress(&state.progress);
+        Ok(())
+    }
+
+    /// Fails with `canceled` once the job was cancelled. Call it in every long loop.
+    pub fn check(&self) -> Result<()> {
+        if self.cancel.load(Ordering::Relaxed) {
+            return Err(Failure::new(Code::Canceled, "the job was cancelled"));
+        }
+        Ok(())
+    }
+
+    /// Whether the user's wall-clock limit has passed: search loops stop with their best.
+    pub fn out_of_time(&self) -> bool {
+        self.deadline.is_some_and(|d| Instant::now() >= d)
+    }
+
+    /// Records a warning.
+    pub fn warn(&self, warning: Warning) {
+        tracing::debug!(code = %warning.code, message = %warning.message, "warning");
+        let mut state = self.lock();
+        if !state.warnings.contains(&warning) {
+            self.listener.warning(&warning);
+            state.warnings.push(warning);
+        }
+    }
+
+    /// The warnings so far, in the order in which they were found.
+    pub fn warnings(&self) -> Vec<Warning> {
+        self.lock().warnings.clone()
+    }
+
+    /// Seconds by stage so far.
+    pub fn timings(&self) -> Vec<Timing> {
+        self.lock().timings.clone()
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,124 @@
+//! The one failure type, and the closed list of its codes.
+
+use serde::{Deserialize, Serialize};
+
+/// Whose fault a failure is, and what it is about. The names are part of the contract.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Code {
+    /// The container, JSON, accessors, indices or numbers of the model are broken.
+    InvalidModel,
+    /// `extensionsRequired` names something that is not supported.
+    UnsupportedExtension,
+    /// A file that the model names was not uploaded.
+    MissingFile,
+    /// An image cannot be decoded.
+    InvalidImage,
+    /// A stated limit is exceeded.
+    TooLarge,
+    /// Nothing in the model can be refined (no triangles with UVs and textures).
+    NothingToRefine,
+    /// An option is unknown, of the wrong type or out of its range.
+    InvalidOptions,
+    /// A `require` entry is not met.
+    RequirementNotMet,
+    /// The job was cancelled.
+    Canceled,
+    /// The request itself is malformed (HTTP).
+    InvalidRequest,
+    /// The media type of a request is not supported (HTTP).
+    UnsupportedMediaType,
+    /// No such job, artifact or route (HTTP).
+    NotFound,
+    /// The artifact existed and has been removed (HTTP).
+    Gone,
+    /// The job is in a state that does not allow the request (HTTP).
+    Conflict,
+    /// The queue is full (HTTP).
+    QueueFull,
+    /// Intarsia is at fault.
+    Internal,
+}
+
+impl Code {
+    /// The code as users see it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Code::InvalidModel => "invalid_model",
+            Code::UnsupportedExtension => "unsupported_extension",
+            Code::MissingFile => "missing_file",
+            Code::InvalidImage => "invalid_image",
+            Code::TooLarge => "too_large",
+            Code::NothingToRefine => "nothing_to_refine",
+            Code::InvalidOptions => "invalid_options",
+            Code::RequirementNotMet => "requirement_not_met",
+            Code::Canceled => "canceled",
+            Code::InvalidRequest => "invalid_request",
+            Code::UnsupportedMediaType => "unsupported_media_type",
+            Code::NotFound => "not_found",
+            Code::Gone => "gone",
+            Code::Conflict => "conflict",
+            Code::QueueFull => "queue_full",
+            Code::Internal => "internal",
+        }
+    }
+}
+
+/// A failure with a stable code, a sentence that helps and, where possible, the JSON pointer of
+/// the offending glTF node or option.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
+#[error("{}: {message}", code.as_str())]
+pub struct Failure {
+    /// Stable code.
+    pub code: Code,
+    /// One sentence for a person.
+    pub message: String,
+    /// JSON pointer into the glTF document or the options.
+    pub pointer: Option<String>,
+}
+
+impl Failure {
+    /// A failure without a pointer.
+    pub fn new(code: Code, message: impl Into<String>) -> Self {
+        Failure { code, message: message.into(), pointer: None }
+    }
+    /// The same failure, at a JSON pointer.
+    pub fn at(mut self, pointer: impl Into<String>) -> Self {
+        self.pointer = Some(pointer.into());
+        self
+    }
+    /// The model is broken.
+    pub fn model(message: impl Into<String>) -> Self {
+        Self::new(Code::InvalidModel, message)
+    }
+    /// Intarsia is at fault.
+    pub fn internal(message: impl Into<String>) -> Self {
+        Self::new(Code::Internal, message)
+    }
+}
+
+/// Result with [`Failure`].
+pub type Result<T> = std::result::Result<T, Failure>;
+
+/// Something that the user should know and that did not stop the work.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Warning {
+    /// Stable code in snake case.
+    pub code: String,
+    /// One sentence for a person.
+    pub message: String,
+    /// JSON pointer into the glTF document.
+    pub pointer: Option<String>,
+}
+
+impl Warning {
+    /// A warning without a pointer.
+    pub fn new(code: &str, message: impl Into<String>) -> Self {
+        Warning { code: code.to_owned(), message: message.into(), pointer: None }
+    }
+    /// The same warning, at a JSON pointer.
+    pub fn at(mut self, pointer: impl Into<String>) -> Self {
+        self.pointer = Some(pointer.into());
+        self
+    }
+}

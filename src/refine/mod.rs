@@ -1,0 +1,3 @@
+//! The stages, from Atlas to Atlas, and the recipe that runs them in order.
+
+pub mod options;

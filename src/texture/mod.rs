@@ -1,0 +1,146 @@
+//! Textures: decode, resample through provenance, fill, encode.
+//!
+//! All images are kept at their native depth and channel count; one slot at a time is in memory.
+
+use serde::{Deserialize, Serialize};
+
+/// What an image means, which decides how it is filtered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// sRGB colour, alpha linear.
+    BaseColor,
+    /// Linear data (G roughness, B metalness; R often occlusion).
+    MetallicRoughness,
+    /// Tangent-space normals.
+    Normal,
+    /// Linear data in R.
+    Occlusion,
+    /// sRGB colour.
+    Emissive,
+}
+
+impl Role {
+    /// The name in reports and file names.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Role::BaseColor => "base_color",
+            Role::MetallicRoughness => "metallic_roughness",
+            Role::Normal => "normal",
+            Role::Occlusion => "occlusion",
+            Role::Emissive => "emissive",
+        }
+    }
+
+    /// Whether the colour channels are sRGB-encoded.
+    pub fn is_srgb(self) -> bool {
+        matches!(self, Role::BaseColor | Role::Emissive)
+    }
+
+    /// Whether the texels are directions that turn with their chart.
+    pub fn is_direction(self) -> bool {
+        self == Role::Normal
+    }
+}
+
+/// How texels outside the image are read, per axis (glTF sampler `wrapS`, `wrapT`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Wrap {
+    /// 10497, the glTF default.
+    #[default]
+    Repeat,
+    /// 33648.
+    MirroredRepeat,
+    /// 33071.
+    ClampToEdge,
+}
+
+impl Wrap {
+    /// The texel in `0..size` that index `i` reads.
+    pub fn texel(self, i: i64, size: i64) -> i64 {
+        match self {
+            Wrap::Repeat => i.rem_euclid(size),
+            Wrap::MirroredRepeat => {
+                let j = i.rem_euclid(2 * size);
+                if j < size { j } else { 2 * size - 1 - j }
+            }
+            Wrap::ClampToEdge => i.clamp(0, size - 1),
+        }
+    }
+}
+
+/// How alpha is treated when a base colour is resampled (material `alphaMode`).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Alpha {
+    /// Colour is independent of alpha.
+    #[default]
+    Opaque,
+    /// Coverage is kept at the cutoff.
+    Mask(f64),
+    /// Colour is premultiplied while filtering.
+    Blend,
+}
+
+/// Container format of an image file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Format {
+    /// PNG.
+    Png,
+    /// JPEG.
+    Jpeg,
+}
+
+impl Format {
+    /// File name extension.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Format::Png => "png",
+            Format::Jpeg => "jpg",
+        }
+    }
+    /// Media type.
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Format::Png => "image/png",
+            Format::Jpeg => "image/jpeg",
+        }
+    }
+}
+
+/// Samples at their native depth, row by row from the top, channels interleaved.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Samples {
+    /// 8 bits a channel.
+    U8(Vec<u8>),
+    /// 16 bits a channel.
+    U16(Vec<u16>),
+}
+
+/// A decoded image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Image {
+    /// Width in texels, at least 1.
+    pub width: u32,
+    /// Height in texels, at least 1.
+    pub height: u32,
+    /// 1 grey, 2 grey and alpha, 3 RGB, 4 RGBA.
+    pub channels: u8,
+    /// `width * height * channels` samples.
+    pub samples: Samples,
+}
+
+/// What a header says, before anything is decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Header {
+    /// Width in texels.
+    pub width: u32,
+    /// Height in texels.
+    pub height: u32,
+    /// Channels after decoding (palettes expanded).
+    pub channels: u8,
+    /// Bits a channel after decoding: 8 or 16.
+    pub depth: u8,
+    /// Container.
+    pub format: Format,
+}

@@ -1,0 +1,3 @@
+//! Prints what packing reaches on every model at hand.
+
+fn main() {}
