@@ -5,10 +5,12 @@
 //! adjacency are derived ([`Topology`], [`Charts`]), never stored beside it.
 
 mod charts;
+mod edit;
 mod ids;
 mod topology;
 
 pub use charts::{Charts, Loops};
+pub use edit::Move;
 pub use ids::{ChartId, FaceId, UvId, VertexId};
 pub use topology::Topology;
 

@@ -1,1 +1,133 @@
-//! packing.
+//! Places charts on sheets. Knows polygons and texels; neither glTF nor images.
+//!
+//! Pieces are rasterised conservatively in each allowed orientation; a greedy construction puts them, large to
+//! small, at the best of *all* free positions of a strip (Box Cutter, section 3.3), which bit-parallel occupancy makes
+//! cheap enough to search over orders, widths and rules at a coarse resolution; the best plans are built again at a fine one and
+//! settled there.
+
+mod fit;
+mod greedy;
+mod mask;
+mod occupancy;
+mod orientation;
+mod random;
+mod search;
+mod shape;
+
+use glam::{DMat2, DVec2};
+
+pub use fit::{Fitted, pack_into};
+pub use search::pack;
+
+use crate::refine::options::Rotation;
+
+/// What is placed as one: a chart, or a cluster of charts. Coordinates in reference texels.
+#[derive(Debug, Clone, Default)]
+pub struct Piece {
+    /// UV triangles.
+    pub triangles: Vec<[DVec2; 3]>,
+    /// Border edges as vectors, for the choice of axes.
+    pub border: Vec<DVec2>,
+    /// Area covered, in square texels.
+    pub area: f64,
+}
+
+impl Piece {
+    /// Diagonal of the bounding box, in texels.
+    fn diagonal(&self) -> f64 {
+        let points = || self.triangles.iter().flatten();
+        let low = points().fold(DVec2::INFINITY, |m, p| m.min(*p));
+        let high = points().fold(DVec2::NEG_INFINITY, |m, p| m.max(*p));
+        if low.is_finite() { (high - low).length() } else { 0.0 }
+    }
+}
+
+/// Distances that placement keeps, in reference texels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spacing {
+    /// Free texels between two pieces.
+    pub gutter: f64,
+    /// Free texels at the sheet's edge.
+    pub margin: f64,
+    /// Pieces move by multiples of this (`unit` times a power of two up to 64), or anyhow.
+    pub lattice: Option<f64>,
+    /// The smallest cell, usually a texel of the smallest slot: gutters are counted in whole cells. Ignored where nothing must keep
+    /// whole texels (`lattice` is null and `gutter` is 0).
+    pub unit: f64,
+}
+
+/// What is asked of a packing.
+#[derive(Debug, Clone)]
+pub struct Request<'a> {
+    /// The pieces.
+    pub pieces: &'a [Piece],
+    /// Rotations that are allowed.
+    pub rotation: Rotation,
+    /// Whether pieces may be mirrored.
+    pub mirror: bool,
+    /// Distances.
+    pub spacing: Spacing,
+    /// Width / height, or free.
+    pub aspect: Option<f64>,
+    /// Longest sides of a sheet in texels (width, height).
+    pub max: [f64; 2],
+    /// Rounds the sides that a sheet must have (texels) to those that it may have.
+    pub round: Rounding,
+    /// Factor on all pieces.
+    pub scale: f64,
+    /// Multiplies the work of the search; 1 is the default.
+    pub effort: f64,
+    /// Seed of the search.
+    pub seed: u64,
+}
+
+/// Which sheet sides are allowed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Rounding {
+    /// Any: only the bounding box counts.
+    Free,
+    /// Multiples of this many texels.
+    MultipleOf(f64),
+    /// Powers of two that are multiples of this many texels.
+    PowerOfTwo(f64),
+}
+
+impl Rounding {
+    /// The smallest allowed side that holds `side` texels.
+    pub fn up(self, side: f64) -> f64 {
+        let multiple = |m: f64| (side / m - 1e-9).ceil().max(1.0) * m;
+        match self {
+            Rounding::Free => side,
+            Rounding::MultipleOf(m) => multiple(m),
+            Rounding::PowerOfTwo(m) => {
+                let mut power = 1.0;
+                while power < multiple(m) {
+                    power *= 2.0;
+                }
+                power
+            }
+        }
+    }
+}
+
+/// Where a piece went: `uv' = linear * uv + translate` on sheet `page`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placement {
+    /// Sheet.
+    pub page: u16,
+    /// Rotation, mirror and scale.
+    pub linear: DMat2,
+    /// Translation in texels of the new sheet.
+    pub translate: DVec2,
+}
+
+/// A packing of all pieces.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Packing {
+    /// By piece.
+    pub placements: Vec<Placement>,
+    /// Sides of each sheet in texels, margins included, rounded as asked.
+    pub sheets: Vec<[f64; 2]>,
+    /// Words of occupancy looked at: the unit of work.
+    pub work: u64,
+}

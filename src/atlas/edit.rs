@@ -1,0 +1,42 @@
+//! Edits that keep provenance: so far, moving charts.
+
+use glam::{DMat2, DVec2};
+
+use super::{Atlas, Charts, UvId};
+
+/// Where a chart goes: `uv' = linear * uv + translate` on sheet `page`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Move {
+    /// Sheet.
+    pub page: u16,
+    /// Rotation, mirror and scale.
+    pub linear: DMat2,
+    /// Translation in texels.
+    pub translate: DVec2,
+}
+
+impl Atlas {
+    /// Moves every chart as `of_chart` says and gives the Atlas new sheets. A UV vertex at which two charts touch becomes
+    /// one for each.
+    pub fn moved(&self, charts: &Charts, of_chart: &[Move], sheets: Vec<[u32; 2]>) -> Atlas {
+        debug_assert_eq!(charts.len(), of_chart.len());
+        let mut next = Atlas { sheets, uv: Vec::with_capacity(self.uv.len()), ..self.clone() };
+        // (chart that the copy belongs to, copy) by UV vertex: the latest copy, valid while its chart is being moved.
+        let mut copy = vec![(u32::MAX, UvId(0)); self.uv.len()];
+        for (chart, faces) in charts.faces.iter().enumerate() {
+            let m = of_chart[chart];
+            for face in faces {
+                next.page[face.index()] = m.page;
+                for corner in &mut next.corners[face.index()] {
+                    let slot = &mut copy[corner.index()];
+                    if slot.0 != chart as u32 {
+                        *slot = (chart as u32, UvId::new(next.uv.len()));
+                        next.uv.push(m.linear * self.uv[corner.index()] + m.translate);
+                    }
+                    *corner = slot.1;
+                }
+            }
+        }
+        next
+    }
+}

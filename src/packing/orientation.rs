@@ -1,0 +1,111 @@
+//! Which ways round a piece may be placed.
+
+use glam::{DMat2, DVec2};
+
+use super::Piece;
+use crate::refine::options::Rotation;
+
+/// A rotation, after an optional mirroring of x.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Orientation {
+    /// Radians, from +x to +y, in 0..2 pi.
+    pub angle: f64,
+    /// Mirrored before turning.
+    pub mirror: bool,
+}
+
+impl Orientation {
+    /// The linear map; exact for quarter turns.
+    pub fn matrix(self) -> DMat2 {
+        let quarters = self.angle / std::f64::consts::FRAC_PI_2;
+        let (sin, cos) = if (quarters - quarters.round()).abs() < 1e-12 {
+            [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)][quarters.round() as usize % 4]
+        } else {
+            self.angle.sin_cos()
+        };
+        let flip = if self.mirror { -1.0 } else { 1.0 };
+        DMat2::from_cols(DVec2::new(cos, sin) * flip, DVec2::new(-sin, cos))
+    }
+}
+
+/// The orientations to try for a piece: quarter turns, the piece's own best axes (Box Cutter, 3.2.1: least L1 norm
+/// of the boundary's directions), and `extra` more angles per quarter.
+pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, extra: usize) -> Vec<Orientation> {
+    use std::f64::consts::FRAC_PI_2;
+    let mut angles = vec![0.0];
+    if rotation == Rotation::Any {
+        let axes = best_axes(piece);
+        if axes > 1e-3 && axes < FRAC_PI_2 - 1e-3 {
+            angles.push(axes);
+        }
+        for k in 1..=extra {
+            angles.push((axes + FRAC_PI_2 * k as f64 / (extra + 1) as f64) % FRAC_PI_2);
+        }
+    }
+    let quarters = if rotation == Rotation::None { 1 } else { 4 };
+    let mut all = Vec::new();
+    for mirror in if mirror { &[false, true][..] } else { &[false] } {
+        for angle in &angles {
+            for q in 0..quarters {
+                all.push(Orientation { angle: angle + FRAC_PI_2 * f64::from(q), mirror: *mirror });
+            }
+        }
+    }
+    all
+}
+
+/// The angle in 0..pi/2 that turns the piece's border as far as possible along the axes: the border edges' mean
+/// L1 norm is least. Searched on a grid of one degree, then by golden section.
+pub(crate) fn best_axes(piece: &Piece) -> f64 {
+    use std::f64::consts::FRAC_PI_2;
+    let cost = |angle: f64| -> f64 {
+        let (sin, cos) = angle.sin_cos();
+        piece.border.iter().map(|d| (d.x * cos - d.y * sin).abs() + (d.x * sin + d.y * cos).abs()).sum()
+    };
+    let step = FRAC_PI_2 / 90.0;
+    let mut best = 0;
+    let mut least = f64::INFINITY;
+    for k in 0..90 {
+        let c = cost(step * f64::from(k));
+        if c < least - 1e-9 {
+            (best, least) = (k, c);
+        }
+    }
+    let (mut a, mut b) = (step * (f64::from(best) - 1.0), step * (f64::from(best) + 1.0));
+    for _ in 0..20 {
+        let (p, q) = (a + (b - a) * 0.382, b - (b - a) * 0.382);
+        if cost(p) <= cost(q) {
+            b = q;
+        } else {
+            a = p;
+        }
+    }
+    let found = (a + b) / 2.0;
+    // Axis-aligned pieces stay exactly so.
+    if cost(0.0) <= cost(found) + 1e-9 * least { 0.0 } else { found.rem_euclid(FRAC_PI_2) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_turned_rectangle_finds_its_axes() {
+        for degrees in [0.0_f64, 7.3, 30.0, 60.5, 88.0] {
+            let turn = DMat2::from_angle(-degrees.to_radians());
+            let sides = [DVec2::new(3.0, 0.0), DVec2::new(0.0, 1.0), DVec2::new(-3.0, 0.0), DVec2::new(0.0, -1.0)];
+            let piece = Piece { triangles: Vec::new(), border: sides.map(|d| turn * d).to_vec(), area: 3.0 };
+            assert!((best_axes(&piece).to_degrees() - degrees).abs() < 0.01, "{degrees}");
+        }
+    }
+
+    #[test]
+    fn quarter_turns_are_exact() {
+        let piece = Piece { triangles: Vec::new(), border: Vec::new(), area: 0.0 };
+        let all = orientations(&piece, Rotation::Quarter, true, 0);
+        assert_eq!(all.len(), 8);
+        for o in all {
+            assert!(o.matrix().to_cols_array().iter().all(|x| [-1.0, 0.0, 1.0].contains(x)));
+        }
+    }
+}

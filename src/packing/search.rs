@@ -1,0 +1,347 @@
+//! The search over plans, coarse first, then fine.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::greedy::{Layout, Plan, Rule, greedy, settle};
+use super::orientation::{Orientation, orientations};
+use super::random::Random;
+use super::shape::Shapes;
+use super::{Packing, Placement, Request};
+use crate::context::Context;
+use crate::error::{Code, Failure, Result};
+use crate::refine::options::Rotation;
+
+/// Cells along the side of a square that would hold everything, in the coarse search, by number of pieces.
+const COARSE_SIDE: [(usize, f64); 4] = [(12, 160.0), (60, 224.0), (300, 352.0), (usize::MAX, 512.0)];
+/// The same at the fine resolution, where whole texels do not stop it earlier.
+const FINE_SIDE: [(usize, f64); 3] = [(60, 2048.0), (300, 2048.0), (usize::MAX, 2048.0)];
+/// Words that the coarse search may look at; about half a second on two cores.
+const COARSE_WORK: f64 = 1e8;
+/// Plans evaluated at once: fixed, so that the result does not depend on the number of threads.
+const BATCH: usize = 16;
+/// Coarse plans that are built at the fine resolution.
+const FINALISTS: usize = 4;
+/// Rules that the search chooses from.
+const RULES: [Rule; 3] = [
+    Rule { growth: 4.0, top: 1.0, low: 0.0 },
+    Rule { growth: 4.0, top: 0.0, low: 1.0 },
+    Rule { growth: 4.0, top: 0.5, low: 0.5 },
+];
+/// The widest strip considered, relative to its height, where the aspect is free.
+const WIDEST: f64 = 4.0;
+
+fn by_count(table: &[(usize, f64)], n: usize) -> f64 {
+    table.iter().find(|(limit, _)| n <= *limit).map_or(512.0, |(_, value)| *value)
+}
+
+/// Packs the pieces on as few and as small sheets as the search finds.
+///
+/// # Errors
+/// `too_large` when a piece fits on no sheet; `canceled`.
+pub fn pack(request: &Request<'_>, context: &Context) -> Result<Packing> {
+    let n = request.pieces.len();
+    if n == 0 {
+        return Ok(Packing { placements: Vec::new(), sheets: Vec::new(), work: 0 });
+    }
+    let extra = match request.rotation {
+        Rotation::Any if n <= 60 => 3,
+        Rotation::Any if n <= 300 => 1,
+        _ => 0,
+    };
+    let ways: Vec<Vec<Orientation>> =
+        request.pieces.par_iter().map(|p| orientations(p, request.rotation, request.mirror, extra)).collect();
+    let area: f64 = request.pieces.iter().map(|p| p.area).sum::<f64>() * request.scale.powi(2);
+    let side = (area / 0.7).sqrt().max(1e-6);
+    let longest = request.pieces.iter().map(|p| p.diagonal() * request.scale).fold(0.0, f64::max);
+    let span = 3.0 * side + longest + 64.0 * request.spacing.unit;
+    Search { request, ways: &ways, context, side, span }.run()
+}
+
+struct Search<'a> {
+    request: &'a Request<'a>,
+    ways: &'a [Vec<Orientation>],
+    context: &'a Context,
+    /// Side of a square that would hold everything at a good density, in texels.
+    side: f64,
+    /// No strip is longer or wider than this many texels, unless everything is spread over pages.
+    span: f64,
+}
+
+/// A plan and what it came to.
+#[derive(Clone)]
+struct Tried {
+    plan: Plan,
+    cost: f64,
+    work: u64,
+    width: usize,
+}
+
+impl Search<'_> {
+    fn run(&self) -> Result<Packing> {
+        let side = self.side;
+        let n = self.request.pieces.len();
+        let coarse = self.shapes(self.cell(side / by_count(&COARSE_SIDE, n)));
+        self.context.step(0.1, "searching")?;
+        let (tried, mut work) = self.coarse(&coarse)?;
+        let fine = self.shapes(self.cell(side / by_count(&FINE_SIDE, n)));
+        self.context.step(0.6, "placing")?;
+        let mut best: Option<(f64, Layout)> = None;
+        let finals: Vec<Result<(f64, Layout)>> = tried
+            .par_iter()
+            .take(if n > 300 { 2 } else { FINALISTS })
+            .map(|t| {
+                self.context.check()?;
+                let ratio = coarse.cell / fine.cell;
+                let width = ((t.width as f64 * ratio).ceil() as usize).min(self.limit(0, &fine));
+                let height = (self.limit(1, &fine))
+                    .min((self.height_for(t.cost, t.width, &coarse) as f64 * ratio * 1.3) as usize + 64);
+                let plan = Plan { width, height, partial: false, ..t.plan.clone() };
+                let (mut layout, mut table) = greedy(&fine, &plan);
+                if layout.left_over.is_empty() {
+                    settle(&mut table, &mut layout, if n > 300 { 1 } else { 2 });
+                }
+                Ok((self.cost(&layout, &fine), layout))
+            })
+            .collect();
+        for result in finals {
+            let (cost, layout) = result?;
+            work += layout.work;
+            if layout.left_over.is_empty() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                best = Some((cost, layout));
+            }
+        }
+        self.context.step(0.95, "placing")?;
+        match best {
+            Some((_, layout)) => Ok(self.one_sheet(&layout, &fine, work)),
+            None => self.pages(&fine, work),
+        }
+    }
+
+    /// The cell size at or above `wanted` texels that keeps whole texels where they must be kept.
+    fn cell(&self, wanted: f64) -> f64 {
+        let spacing = &self.request.spacing;
+        if spacing.lattice.is_none() && spacing.gutter == 0.0 {
+            return wanted;
+        }
+        let units = (wanted / spacing.unit).floor().max(1.0);
+        // A lattice is met by cells that divide it or are multiples of it.
+        let units = if spacing.lattice.is_some() { f64::exp2(units.log2().floor()) } else { units };
+        units * spacing.unit
+    }
+
+    fn shapes(&self, cell: f64) -> Shapes {
+        Shapes::new(self.request.pieces, self.ways, cell, self.request.scale, &self.request.spacing)
+    }
+
+    /// Longest side of a strip in cells.
+    fn limit(&self, axis: usize, shapes: &Shapes) -> usize {
+        let room = (self.request.max[axis] - 2.0 * self.request.spacing.margin).min(self.span);
+        (room / shapes.cell + 1e-9).floor().max(0.0) as usize
+    }
+
+    /// Sides of the sheet that holds a layout, in texels.
+    fn sheet(&self, layout: &Layout, shapes: &Shapes) -> [f64; 2] {
+        let margin = 2.0 * self.request.spacing.margin;
+        let mut w = layout.width as f64 * shapes.cell + margin;
+        let mut h = layout.height as f64 * shapes.cell + margin;
+        if let Some(aspect) = self.request.aspect {
+            (w, h) = (w.max(h * aspect), h.max(w / aspect));
+        }
+        [self.request.round.up(w), self.request.round.up(h)]
+    }
+
+    fn cost(&self, layout: &Layout, shapes: &Shapes) -> f64 {
+        if !layout.left_over.is_empty() {
+            return f64::INFINITY;
+        }
+        let [w, h] = self.sheet(layout, shapes);
+        // Among sheets of equal size the emptier one is better.
+        w * h + 1e-6 * (layout.width * layout.height) as f64 * shapes.cell * shapes.cell
+    }
+
+    /// The height in cells at which a strip of this width costs `cost`.
+    fn height_for(&self, cost: f64, width: usize, shapes: &Shapes) -> usize {
+        let margin = 2.0 * self.request.spacing.margin;
+        let w = self.request.round.up(width as f64 * shapes.cell + margin);
+        let h = match self.request.aspect {
+            Some(aspect) => (cost / aspect).sqrt(),
+            None => cost / w,
+        };
+        ((h - margin) / shapes.cell).ceil().max(1.0) as usize
+    }
+
+    /// Orders, widths and rules, then mutations of the best, within the budget of work.
+    fn coarse(&self, shapes: &Shapes) -> Result<(Vec<Tried>, u64)> {
+        let budget = (COARSE_WORK * self.request.effort) as u64;
+        let (side, limit) = (self.side, self.limit(0, shapes));
+        let narrowest =
+            shapes.of_piece.iter().map(|ways| ways.iter().map(|s| s.mask.width).min().unwrap_or(1)).max().unwrap_or(1);
+        let mut widths: Vec<usize> = match self.request.aspect {
+            Some(aspect) => (0..10)
+                .map(|k| side * aspect.sqrt() * (0.92 + 0.05 * f64::from(k)) / shapes.cell)
+                .map(|w| w as usize)
+                .collect(),
+            None => (0..13)
+                .map(|k| side / WIDEST.sqrt() * WIDEST.powf(f64::from(k) / 12.0) / shapes.cell)
+                .map(|w| w as usize)
+                .collect(),
+        };
+        for w in &mut widths {
+            *w = (*w).max(narrowest).min(limit);
+        }
+        widths.dedup();
+        let orders = self.orders(shapes);
+        let mut plans = Vec::new();
+        for order in &orders {
+            for &width in &widths {
+                for rule in &RULES[..2] {
+                    plans.push(Plan {
+                        order: order.clone(),
+                        width,
+                        height: self.limit(1, shapes),
+                        rule: *rule,
+                        partial: false,
+                    });
+                }
+            }
+        }
+        let mut work = 0;
+        let mut best: Vec<Tried> = Vec::new();
+        // Widths near the square first: an interrupted search has tried them.
+        plans.sort_by_key(|p| p.width.abs_diff((side / shapes.cell) as usize));
+        for batch in plans.chunks(BATCH) {
+            self.evaluate(shapes, batch.to_vec(), &mut best, &mut work)?;
+            if work > budget / 2 && !best.is_empty() {
+                break;
+            }
+        }
+        let mut random = Random::new(self.context.seed ^ self.request.seed);
+        while work < budget && !best.is_empty() && self.request.pieces.len() > 1 && !self.context.out_of_time() {
+            let height = self.limit(1, shapes);
+            let batch = (0..BATCH)
+                .map(|k| Plan { height, ..mutate(&best[k % best.len().min(3)].plan, narrowest, limit, &mut random) })
+                .collect();
+            self.evaluate(shapes, batch, &mut best, &mut work)?;
+            self.context.step(0.1 + 0.5 * (work as f64 / budget as f64), "searching")?;
+        }
+        Ok((best, work))
+    }
+
+    /// Runs plans in parallel and keeps the best, in a fixed order.
+    fn evaluate(&self, shapes: &Shapes, plans: Vec<Plan>, best: &mut Vec<Tried>, work: &mut u64) -> Result<()> {
+        self.context.check()?;
+        let worst = best.last().filter(|_| best.len() >= FINALISTS).map(|t| t.cost);
+        let tried: Vec<Tried> = plans
+            .into_par_iter()
+            .map(|mut plan| {
+                if let Some(cost) = worst {
+                    plan.height = plan.height.min(self.height_for(cost, plan.width, shapes));
+                }
+                let (layout, _) = greedy(shapes, &plan);
+                Tried { cost: self.cost(&layout, shapes), work: layout.work, width: layout.width, plan }
+            })
+            .collect();
+        for t in tried {
+            *work += t.work + 50 * t.plan.order.len() as u64;
+            if t.cost.is_finite() && !best.iter().any(|b| b.cost == t.cost && b.width == t.width) {
+                best.push(t);
+            }
+        }
+        best.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        best.truncate(FINALISTS);
+        Ok(())
+    }
+
+    /// Orders to start from: by area, by the longest side, by area of the bounding box, by perimeter.
+    fn orders(&self, shapes: &Shapes) -> Vec<Vec<u32>> {
+        let key = |f: &dyn Fn(usize) -> f64| {
+            let mut order: Vec<u32> = (0..self.request.pieces.len() as u32).collect();
+            let keys: Vec<f64> = (0..order.len()).map(f).collect();
+            order.sort_by(|&a, &b| keys[b as usize].total_cmp(&keys[a as usize]).then(a.cmp(&b)));
+            order
+        };
+        let boxes = |p: usize| {
+            let s = &shapes.of_piece[p][0].mask;
+            (s.width as f64, s.height as f64)
+        };
+        vec![
+            key(&|p| shapes.of_piece[p][0].cells as f64),
+            key(&|p| boxes(p).0.max(boxes(p).1)),
+            key(&|p| boxes(p).0 * boxes(p).1),
+            key(&|p| boxes(p).0 + boxes(p).1),
+        ]
+    }
+
+    fn placement(&self, shapes: &Shapes, layout: &Layout, piece: usize, page: u16) -> Option<Placement> {
+        let spot = layout.spots.get(piece).copied().flatten()?;
+        let shape = &shapes.of_piece[piece][spot.orientation as usize];
+        let corner =
+            DVec2::new(f64::from(spot.x), f64::from(spot.y)) * shapes.cell + DVec2::splat(self.request.spacing.margin);
+        Some(Placement { page, linear: shape.linear, translate: corner - shape.anchor })
+    }
+
+    fn one_sheet(&self, layout: &Layout, shapes: &Shapes, work: u64) -> Packing {
+        let placements = (0..self.request.pieces.len()).filter_map(|p| self.placement(shapes, layout, p, 0)).collect();
+        Packing { placements, sheets: vec![self.sheet(layout, shapes)], work }
+    }
+
+    /// Fills sheets of the largest size one after the other.
+    fn pages(&self, shapes: &Shapes, mut work: u64) -> Result<Packing> {
+        let (width, height) = (self.limit(0, shapes), self.limit(1, shapes));
+        let mut placements = vec![None; self.request.pieces.len()];
+        let mut sheets = Vec::new();
+        let mut rest = self.orders(shapes).swap_remove(0);
+        while !rest.is_empty() {
+            self.context.check()?;
+            let plan = Plan { order: rest.clone(), width, height, rule: RULES[0], partial: true };
+            let (mut layout, mut table) = greedy(shapes, &plan);
+            if layout.left_over.len() == rest.len() {
+                return Err(Failure::new(
+                    Code::TooLarge,
+                    format!(
+                        "a chart does not fit on a sheet of {} x {} texels; raise texture.max_size or set texture.overflow to \"scale\"",
+                        self.request.max[0], self.request.max[1]
+                    ),
+                ));
+            }
+            settle(&mut table, &mut layout, 2);
+            work += layout.work;
+            let page = sheets.len() as u16;
+            for (piece, slot) in placements.iter_mut().enumerate() {
+                if layout.spots[piece].is_some() {
+                    *slot = self.placement(shapes, &layout, piece, page);
+                }
+            }
+            sheets.push(self.sheet(&layout, shapes));
+            rest = std::mem::take(&mut layout.left_over);
+        }
+        Ok(Packing { placements: placements.into_iter().flatten().collect(), sheets, work })
+    }
+}
+
+/// A plan like this one, with pieces exchanged, another width or another rule.
+fn mutate(plan: &Plan, narrowest: usize, limit: usize, random: &mut Random) -> Plan {
+    let mut next = plan.clone();
+    let n = next.order.len();
+    for _ in 0..1 + random.below(2) {
+        match random.below(8) {
+            0 => next.rule = RULES[random.below(RULES.len())],
+            1 | 2 => {
+                let change = 1.0 + (random.unit() - 0.5) * 0.12;
+                next.width = ((next.width as f64 * change).round() as usize).clamp(narrowest.min(limit), limit);
+            }
+            3..=5 => {
+                let a = random.below(n);
+                let b = (a + 1 + random.below(n.div_ceil(4))).min(n - 1);
+                next.order.swap(a, b);
+            }
+            _ => {
+                let a = random.below(n);
+                let piece = next.order.remove(a);
+                next.order.insert(random.below(n), piece);
+            }
+        }
+    }
+    next
+}

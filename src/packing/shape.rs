@@ -1,0 +1,91 @@
+//! Pieces at one resolution: each allowed orientation as a mask and a probe.
+
+use glam::{DMat2, DVec2};
+use rayon::prelude::*;
+
+use super::mask::Mask;
+use super::occupancy::Probe;
+use super::orientation::Orientation;
+use super::{Piece, Spacing};
+
+/// One piece in one orientation at one resolution.
+#[derive(Debug, Clone)]
+pub(crate) struct Shape {
+    /// Cells that the piece owns.
+    pub mask: Mask,
+    /// The owned cells and the gutter around them.
+    pub probe: Probe,
+    /// What is subtracted from turned coordinates (texels) so that the mask's corner is the origin.
+    pub anchor: DVec2,
+    /// Rotation, mirror and scale.
+    pub linear: DMat2,
+    /// Cells owned.
+    pub cells: usize,
+}
+
+/// All shapes of all pieces at one cell size.
+#[derive(Debug)]
+pub(crate) struct Shapes {
+    /// Texels per cell.
+    pub cell: f64,
+    /// Gutter in cells.
+    pub gutter: usize,
+    /// Positions are multiples of this many cells.
+    pub stride: usize,
+    /// By piece, by orientation.
+    pub of_piece: Vec<Vec<Shape>>,
+    /// Longest run of any probe.
+    pub longest_run: usize,
+}
+
+impl Shapes {
+    /// Rasterises every piece in every orientation, scaled by `scale`.
+    pub fn new(pieces: &[Piece], orientations: &[Vec<Orientation>], cell: f64, scale: f64, spacing: &Spacing) -> Self {
+        let gutter = (spacing.gutter / cell - 1e-9).ceil().max(0.0) as usize;
+        // On whole texels the lattice is the user's; finer cells than the lattice keep positions on it.
+        let stride = spacing.lattice.map_or(1, |l| ((l / cell).round() as usize).max(1));
+        let of_piece: Vec<Vec<Shape>> = pieces
+            .par_iter()
+            .zip(orientations)
+            .map(|(piece, own)| {
+                own.iter()
+                    .map(|o| shape(piece, o.matrix() * scale, cell, gutter, stride, spacing.lattice.is_some()))
+                    .collect()
+            })
+            .collect();
+        let longest_run = of_piece.iter().flatten().map(|s| s.probe.width).max().unwrap_or(1);
+        Shapes { cell, gutter, stride, of_piece, longest_run }
+    }
+}
+
+fn shape(piece: &Piece, linear: DMat2, cell: f64, gutter: usize, stride: usize, on_lattice: bool) -> Shape {
+    let mut low = DVec2::INFINITY;
+    let mut high = DVec2::NEG_INFINITY;
+    let mut turned: Vec<[DVec2; 3]> = piece.triangles.iter().map(|t| t.map(|p| linear * p)).collect();
+    for p in turned.iter().flatten() {
+        low = low.min(*p);
+        high = high.max(*p);
+    }
+    if !low.is_finite() {
+        (low, high) = (DVec2::ZERO, DVec2::ZERO);
+    }
+    // On the lattice the mask starts at a multiple of it, so that whole steps stay whole; elsewhere a hair before
+    // the piece, so that no cell is wasted.
+    let anchor = if on_lattice {
+        let step = cell * stride as f64;
+        (low / step).floor() * step
+    } else {
+        low - DVec2::splat(2e-3 * cell)
+    };
+    for t in &mut turned {
+        for p in t {
+            *p = (*p - anchor) / cell;
+        }
+    }
+    let extent = (high - anchor) / cell + DVec2::splat(if on_lattice { 0.0 } else { 2e-3 });
+    let size = |x: f64| if (x - x.round()).abs() < 1e-9 { x.round().max(1.0) } else { (x + 1e-3).floor() + 1.0 };
+    let mask = Mask::of_triangles(&turned, size(extent.x) as usize, size(extent.y) as usize);
+    let probe = Probe::new(&mask.dilated(gutter));
+    let cells = mask.count();
+    Shape { mask, probe, anchor, linear, cells }
+}
