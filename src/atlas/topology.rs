@@ -49,6 +49,11 @@ impl Topology {
         FaceId(half_edge / 3)
     }
 
+    /// Whether edge `k` of the face is a border of its chart.
+    pub fn is_border(&self, face: FaceId, k: usize) -> bool {
+        self.uv_twin[3 * face.index() + k] == NONE
+    }
+
     /// Whether the edge is a seam: interior to the surface, border of a chart.
     pub fn is_seam(&self, half_edge: HalfEdge) -> bool {
         self.uv_twin[half_edge as usize] == NONE && self.surface_twin[half_edge as usize] != NONE

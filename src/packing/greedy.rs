@@ -76,7 +76,7 @@ pub(crate) struct Table<'a> {
 impl<'a> Table<'a> {
     pub fn new(shapes: &'a Shapes, width: usize, height: usize) -> Self {
         let pad = 2 * shapes.gutter;
-        Table { shapes, sheet: Occupancy::new(width + pad, height + pad, shapes.longest_run), width, height }
+        Table { shapes, sheet: Occupancy::new(width + pad, height + pad, shapes.pitch), width, height }
     }
 
     pub fn stamp(&mut self, piece: usize, spot: Spot, taken: bool) {

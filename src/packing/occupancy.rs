@@ -5,6 +5,26 @@
 
 use super::mask::Mask;
 
+/// How sheets of one resolution lie in memory: row by row, in each row level by level. The same for all sheets of a search, so
+/// that a piece's look-ups are computed once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Pitch {
+    /// Words of one level of one row.
+    words: usize,
+    levels: usize,
+}
+
+impl Pitch {
+    /// For sheets up to `width` cells wide and runs up to `longest_run` cells.
+    pub fn new(width: usize, longest_run: usize) -> Self {
+        Pitch { words: width.div_ceil(64) + 1, levels: longest_run.max(1).ilog2() as usize + 1 }
+    }
+
+    fn row(self) -> usize {
+        self.words * self.levels
+    }
+}
+
 /// A piece's mask prepared for searching: its runs, each as two look-ups on a level.
 #[derive(Debug, Clone)]
 pub(crate) struct Probe {
@@ -15,20 +35,20 @@ pub(crate) struct Probe {
     widest: Vec<(u32, u32)>,
 }
 
+/// A run: where the two words that answer for it lie, relative to the word of the position, and how far they are shifted.
+#[derive(Debug, Clone, Copy)]
+struct Test {
+    first: u32,
+    second: u32,
+    shifts: [u8; 2],
+}
+
 /// How many of the longest runs are held against the room that rows have.
 const WIDEST: usize = 12;
 
-#[derive(Debug, Clone, Copy)]
-struct Test {
-    row: u32,
-    first: u32,
-    second: u32,
-    level: u32,
-}
-
 impl Probe {
     /// Prepares a mask; long runs come first, since they collide most often.
-    pub fn new(mask: &Mask) -> Self {
+    pub fn new(mask: &Mask, pitch: Pitch) -> Self {
         let mut runs = mask.runs();
         runs.sort_unstable_by_key(|&(row, first, last)| (std::cmp::Reverse(last - first), row, first));
         let widest = runs.iter().take(WIDEST).map(|&(row, first, last)| (row, last - first + 1)).collect();
@@ -36,7 +56,13 @@ impl Probe {
             .into_iter()
             .map(|(row, first, last)| {
                 let level = (last - first + 1).ilog2();
-                Test { row, first, second: last + 1 - (1 << level), level }
+                let second = last + 1 - (1 << level);
+                let base = (row as usize * pitch.row() + level as usize * pitch.words) as u32;
+                Test {
+                    first: base + first / 64,
+                    second: base + second / 64,
+                    shifts: [(first % 64) as u8, (second % 64) as u8],
+                }
             })
             .collect();
         Probe { width: mask.width, height: mask.height, tests, widest }
@@ -53,52 +79,31 @@ pub(crate) struct Window {
     pub phase: usize,
 }
 
-/// A test against one sheet: where its two words lie, relative to the word of the position, and how far they are shifted.
-#[derive(Debug, Clone, Copy, Default)]
-struct Look {
-    first: u32,
-    second: u32,
-    shifts: [u8; 2],
-}
-
 /// The taken cells of one sheet.
 #[derive(Debug, Clone)]
 pub(crate) struct Occupancy {
     width: usize,
     height: usize,
-    words: usize,
-    /// Words of one level.
-    level_size: usize,
-    /// All levels, one after the other, and two spare words, so that shifted reads stay inside.
+    pitch: Pitch,
     bits: Vec<u64>,
-    levels: usize,
     /// By row: an upper bound of the longest run of free cells.
     room: Vec<u32>,
 }
 
 impl Occupancy {
-    /// An empty sheet for probes with runs up to `longest_run` cells.
-    pub fn new(width: usize, height: usize, longest_run: usize) -> Self {
-        let words = width.div_ceil(64) + 1;
-        let levels = longest_run.max(1).ilog2() as usize + 1;
-        let level_size = words * height;
-        Occupancy {
-            width,
-            height,
-            words,
-            level_size,
-            bits: vec![0; level_size * levels + 2],
-            levels,
-            room: vec![width as u32; height],
-        }
+    /// An empty sheet, not wider than the pitch was made for.
+    pub fn new(width: usize, height: usize, pitch: Pitch) -> Self {
+        debug_assert!(width.div_ceil(64) < pitch.words);
+        // Two spare words, so that shifted reads stay inside.
+        Occupancy { width, height, pitch, bits: vec![0; pitch.row() * height + 2], room: vec![width as u32; height] }
     }
 
     /// Takes (or frees) the cells of a mask placed at `(x, y)`.
     pub fn stamp(&mut self, mask: &Mask, x: usize, y: usize, taken: bool) {
         let (offset, shift) = (x / 64, x % 64);
         for row in 0..mask.height {
-            let base = (y + row) * self.words;
-            let line = &mut self.bits[base..base + self.words];
+            let base = (y + row) * self.pitch.row();
+            let line = &mut self.bits[base..base + self.pitch.words];
             for (i, &word) in mask.row(row).iter().enumerate() {
                 if word == 0 {
                     continue;
@@ -125,33 +130,18 @@ impl Occupancy {
 
     /// Recomputes the levels of a row for cells that can see `from..to`.
     fn lift(&mut self, row: usize, from: usize, to: usize) {
-        let base = row * self.words;
-        let last = (to / 64).min(self.words - 1);
-        for k in 1..self.levels {
+        let words = self.pitch.words;
+        let last = (to / 64).min(words - 1);
+        let line = &mut self.bits[row * self.pitch.row()..][..self.pitch.row()];
+        for k in 1..self.pitch.levels {
             let step = 1usize << (k - 1);
             let first = from.saturating_sub(2 * step) / 64;
-            let (below, above) = self.bits.split_at_mut(k * self.level_size);
-            let source = &below[(k - 1) * self.level_size + base..][..self.words];
-            let target = &mut above[base..base + self.words];
+            let (below, above) = line.split_at_mut(k * words);
+            let source = &below[(k - 1) * words..];
             for i in first..=last {
-                target[i] = source[i] | shifted(source, i, step);
+                above[i] = source[i] | shifted(source, i, step);
             }
         }
-    }
-
-    /// The probe's tests as places in this sheet.
-    fn looks(&self, probe: &Probe) -> Vec<Look> {
-        let place =
-            |t: &Test, cell: u32| (t.level as usize * self.level_size + t.row as usize * self.words) as u32 + cell / 64;
-        probe
-            .tests
-            .iter()
-            .map(|t| Look {
-                first: place(t, t.first),
-                second: place(t, t.second),
-                shifts: [(t.first % 64) as u8, (t.second % 64) as u8],
-            })
-            .collect()
     }
 
     /// The first free position in the window, rows from the top, cells from the left, and the number of words
@@ -172,7 +162,8 @@ impl Occupancy {
         let (word_first, word_last) = (window.x.0 / 64, x_last / 64);
         let low = !0u64 << (window.x.0 % 64);
         let high = !0u64 >> (63 - x_last % 64);
-        let mut looks = self.looks(probe);
+        // What collided at one word is likely to collide at the next too.
+        let mut hint = 0;
         let start = next_on_lattice(window.y.0, window.stride, window.phase);
         for y in (start..=y_last).step_by(window.stride) {
             work += 1;
@@ -187,25 +178,36 @@ impl Occupancy {
                 if i == word_last {
                     free &= high;
                 }
-                let here = &self.bits[y * self.words + i..];
-                let mut n = 0;
-                while n < looks.len() {
-                    let look = looks[n];
-                    free &= !(word_at(here, look.first, look.shifts[0]) | word_at(here, look.second, look.shifts[1]));
+                let here = &self.bits[y * self.pitch.row() + i..];
+                work += 1;
+                if let Some(test) = probe.tests.get(hint) {
+                    free &= !test.taken(here);
+                }
+                if free == 0 {
+                    continue;
+                }
+                for (n, test) in probe.tests.iter().enumerate() {
+                    free &= !test.taken(here);
                     if free == 0 {
+                        work += n as u64;
+                        hint = n;
                         break;
                     }
-                    n += 1;
                 }
-                work += n as u64 + 1;
                 if free != 0 {
-                    return (Some((i * 64 + free.trailing_zeros() as usize, y)), work);
+                    return (Some((i * 64 + free.trailing_zeros() as usize, y)), work + probe.tests.len() as u64);
                 }
-                // What collided here is likely to collide at the next word too.
-                looks.swap(n, n / 2);
             }
         }
         (None, work)
+    }
+}
+
+impl Test {
+    /// Of 64 positions, those at which the run meets a taken cell.
+    #[inline(always)]
+    fn taken(&self, here: &[u64]) -> u64 {
+        word_at(here, self.first, self.shifts[0]) | word_at(here, self.second, self.shifts[1])
     }
 }
 
@@ -311,7 +313,8 @@ mod tests {
         let mut random = Random::new(5);
         for round in 0..150 {
             let (w, h) = (40 + random.below(160), 30 + random.below(30));
-            let mut sheet = Occupancy::new(w, h, 64);
+            let pitch = Pitch::new(w, 64);
+            let mut sheet = Occupancy::new(w, h, pitch);
             let mut taken = vec![vec![false; w]; h];
             for _ in 0..random.below(9) {
                 let (mw, mh) = (1 + random.below(40), 1 + random.below(12));
@@ -336,7 +339,7 @@ mod tests {
                 stride,
                 phase: random.below(stride),
             };
-            assert_eq!(sheet.find(&Probe::new(&mask), window).0, brute(&taken, &mask, window), "round {round}");
+            assert_eq!(sheet.find(&Probe::new(&mask, pitch), window).0, brute(&taken, &mask, window), "round {round}");
         }
     }
 }

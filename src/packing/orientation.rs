@@ -28,24 +28,34 @@ impl Orientation {
     }
 }
 
-/// The orientations to try for a piece: quarter turns, the piece's own best axes (Box Cutter, 3.2.1: least L1 norm
-/// of the boundary's directions), and `extra` more angles per quarter.
-pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, extra: usize) -> Vec<Orientation> {
+/// How many angles within a quarter turn to try, where any rotation is allowed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Angles {
+    /// The piece's best axes.
+    Axes,
+    /// The best axes, upright as it is, and so many more, evenly spread.
+    Several(u32),
+}
+
+/// The orientations to try for a piece: quarter turns, and where any rotation is allowed the piece's own best axes (Box Cutter, 3.2.1:
+/// least L1 norm of the boundary's directions) and more angles.
+pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, angles: Angles) -> Vec<Orientation> {
     use std::f64::consts::FRAC_PI_2;
-    let mut angles = vec![0.0];
+    let mut within = vec![0.0];
     if rotation == Rotation::Any {
         let axes = best_axes(piece);
-        if axes > 1e-3 && axes < FRAC_PI_2 - 1e-3 {
-            angles.push(axes);
+        within = vec![axes];
+        if angles != Angles::Axes && axes > 1e-3 && axes < FRAC_PI_2 - 1e-3 {
+            within.push(0.0);
         }
-        for k in 1..=extra {
-            angles.push((axes + FRAC_PI_2 * k as f64 / (extra + 1) as f64) % FRAC_PI_2);
+        if let Angles::Several(more) = angles {
+            within.extend((1..=more).map(|k| (axes + FRAC_PI_2 * f64::from(k) / f64::from(more + 1)) % FRAC_PI_2));
         }
     }
     let quarters = if rotation == Rotation::None { 1 } else { 4 };
     let mut all = Vec::new();
     for mirror in if mirror { &[false, true][..] } else { &[false] } {
-        for angle in &angles {
+        for angle in &within {
             for q in 0..quarters {
                 all.push(Orientation { angle: angle + FRAC_PI_2 * f64::from(q), mirror: *mirror });
             }
@@ -102,7 +112,7 @@ mod tests {
     #[test]
     fn quarter_turns_are_exact() {
         let piece = Piece { triangles: Vec::new(), border: Vec::new(), area: 0.0 };
-        let all = orientations(&piece, Rotation::Quarter, true, 0);
+        let all = orientations(&piece, Rotation::Quarter, true, Angles::Axes);
         assert_eq!(all.len(), 8);
         for o in all {
             assert!(o.matrix().to_cols_array().iter().all(|x| [-1.0, 0.0, 1.0].contains(x)));

@@ -4,13 +4,12 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::greedy::{Layout, Plan, Rule, greedy, settle};
-use super::orientation::{Orientation, orientations};
+use super::orientation::{Angles, Orientation, orientations};
 use super::random::Random;
 use super::shape::Shapes;
 use super::{Packing, Placement, Request};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result};
-use crate::refine::options::Rotation;
 
 /// Cells along the side of a square that would hold everything, in the coarse search, by number of pieces.
 const COARSE_SIDE: [(usize, f64); 4] = [(12, 160.0), (60, 224.0), (300, 352.0), (usize::MAX, 512.0)];
@@ -35,6 +34,15 @@ fn by_count(table: &[(usize, f64)], n: usize) -> f64 {
     table.iter().find(|(limit, _)| n <= *limit).map_or(512.0, |(_, value)| *value)
 }
 
+/// Angles a quarter for a piece, by its place in the order of areas: large pieces decide the sheet's size.
+fn by_rank(rank: usize) -> Angles {
+    match rank {
+        0..14 => Angles::Several(3),
+        14..200 => Angles::Several(1),
+        _ => Angles::Axes,
+    }
+}
+
 /// Packs the pieces on as few and as small sheets as the search finds.
 ///
 /// # Errors
@@ -44,13 +52,18 @@ pub fn pack(request: &Request<'_>, context: &Context) -> Result<Packing> {
     if n == 0 {
         return Ok(Packing { placements: Vec::new(), sheets: Vec::new(), work: 0 });
     }
-    let extra = match request.rotation {
-        Rotation::Any if n <= 60 => 3,
-        Rotation::Any if n <= 300 => 1,
-        _ => 0,
-    };
-    let ways: Vec<Vec<Orientation>> =
-        request.pieces.par_iter().map(|p| orientations(p, request.rotation, request.mirror, extra)).collect();
+    let mut by_area: Vec<usize> = (0..n).collect();
+    by_area.sort_by(|&a, &b| request.pieces[b].area.total_cmp(&request.pieces[a].area).then(a.cmp(&b)));
+    let mut rank = vec![0; n];
+    for (r, &piece) in by_area.iter().enumerate() {
+        rank[piece] = r;
+    }
+    let ways: Vec<Vec<Orientation>> = request
+        .pieces
+        .par_iter()
+        .zip(&rank)
+        .map(|(p, &rank)| orientations(p, request.rotation, request.mirror, by_rank(rank)))
+        .collect();
     let area: f64 = request.pieces.iter().map(|p| p.area).sum::<f64>() * request.scale.powi(2);
     let side = (area / 0.7).sqrt().max(1e-6);
     let longest = request.pieces.iter().map(|p| p.diagonal() * request.scale).fold(0.0, f64::max);
@@ -81,10 +94,12 @@ impl Search<'_> {
     fn run(&self) -> Result<Packing> {
         let side = self.side;
         let n = self.request.pieces.len();
-        let coarse = self.shapes(self.cell(side / by_count(&COARSE_SIDE, n)));
+        let coarse = self.shapes(self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
         self.context.step(0.1, "searching")?;
         let (tried, mut work) = self.coarse(&coarse)?;
-        let fine = self.shapes(self.cell(side / by_count(&FINE_SIDE, n)));
+        let widest = tried.iter().map(|t| t.width).max().unwrap_or(0) as f64 * coarse.cell;
+        let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
+        let fine = self.shapes(fine_cell, widest + fine_cell);
         self.context.step(0.6, "placing")?;
         let mut best: Option<(f64, Layout)> = None;
         let finals: Vec<Result<(f64, Layout)>> = tried
@@ -114,7 +129,7 @@ impl Search<'_> {
         self.context.step(0.95, "placing")?;
         match best {
             Some((_, layout)) => Ok(self.one_sheet(&layout, &fine, work)),
-            None => self.pages(&fine, work),
+            None => self.pages(&self.shapes(fine_cell, self.span), work),
         }
     }
 
@@ -130,8 +145,10 @@ impl Search<'_> {
         units * spacing.unit
     }
 
-    fn shapes(&self, cell: f64) -> Shapes {
-        Shapes::new(self.request.pieces, self.ways, cell, self.request.scale, &self.request.spacing)
+    /// The pieces at a cell size, for strips up to `widest` texels wide.
+    fn shapes(&self, cell: f64, widest: f64) -> Shapes {
+        let widest = widest.min(self.request.max[0]);
+        Shapes::new(self.request.pieces, self.ways, cell, self.request.scale, &self.request.spacing, widest)
     }
 
     /// Longest side of a strip in cells.

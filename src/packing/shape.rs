@@ -4,7 +4,7 @@ use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
 use super::mask::Mask;
-use super::occupancy::Probe;
+use super::occupancy::{Pitch, Probe};
 use super::orientation::Orientation;
 use super::{Piece, Spacing};
 
@@ -34,31 +34,48 @@ pub(crate) struct Shapes {
     pub stride: usize,
     /// By piece, by orientation.
     pub of_piece: Vec<Vec<Shape>>,
-    /// Longest run of any probe.
-    pub longest_run: usize,
+    /// How sheets of this resolution lie in memory.
+    pub pitch: Pitch,
 }
 
 impl Shapes {
-    /// Rasterises every piece in every orientation, scaled by `scale`.
-    pub fn new(pieces: &[Piece], orientations: &[Vec<Orientation>], cell: f64, scale: f64, spacing: &Spacing) -> Self {
+    /// Rasterises every piece in every orientation, scaled by `scale`, for strips up to `widest` texels wide.
+    pub fn new(
+        pieces: &[Piece],
+        orientations: &[Vec<Orientation>],
+        cell: f64,
+        scale: f64,
+        spacing: &Spacing,
+        widest: f64,
+    ) -> Self {
         let gutter = (spacing.gutter / cell - 1e-9).ceil().max(0.0) as usize;
         // On whole texels the lattice is the user's; finer cells than the lattice keep positions on it.
         let stride = spacing.lattice.map_or(1, |l| ((l / cell).round() as usize).max(1));
-        let of_piece: Vec<Vec<Shape>> = pieces
+        let masks: Vec<Vec<(Mask, DVec2, DMat2)>> = pieces
             .par_iter()
             .zip(orientations)
             .map(|(piece, own)| {
-                own.iter()
-                    .map(|o| shape(piece, o.matrix() * scale, cell, gutter, stride, spacing.lattice.is_some()))
-                    .collect()
+                own.iter().map(|o| raster(piece, o.matrix() * scale, cell, stride, spacing.lattice.is_some())).collect()
             })
             .collect();
-        let longest_run = of_piece.iter().flatten().map(|s| s.probe.width).max().unwrap_or(1);
-        Shapes { cell, gutter, stride, of_piece, longest_run }
+        let longest_run = masks.iter().flatten().map(|(mask, ..)| mask.width + 2 * gutter).max().unwrap_or(1);
+        let pitch = Pitch::new((widest / cell).ceil() as usize + 2 * gutter + 1, longest_run);
+        let of_piece = masks
+            .into_par_iter()
+            .map(|own| {
+                let shape = |(mask, anchor, linear): (Mask, DVec2, DMat2)| {
+                    let probe = Probe::new(&mask.dilated(gutter), pitch);
+                    Shape { cells: mask.count(), mask, probe, anchor, linear }
+                };
+                own.into_iter().map(shape).collect()
+            })
+            .collect();
+        Shapes { cell, gutter, stride, of_piece, pitch }
     }
 }
 
-fn shape(piece: &Piece, linear: DMat2, cell: f64, gutter: usize, stride: usize, on_lattice: bool) -> Shape {
+/// The mask of a piece, its anchor, and the linear map again.
+fn raster(piece: &Piece, linear: DMat2, cell: f64, stride: usize, on_lattice: bool) -> (Mask, DVec2, DMat2) {
     let mut low = DVec2::INFINITY;
     let mut high = DVec2::NEG_INFINITY;
     let mut turned: Vec<[DVec2; 3]> = piece.triangles.iter().map(|t| t.map(|p| linear * p)).collect();
@@ -85,7 +102,5 @@ fn shape(piece: &Piece, linear: DMat2, cell: f64, gutter: usize, stride: usize, 
     let extent = (high - anchor) / cell + DVec2::splat(if on_lattice { 0.0 } else { 2e-3 });
     let size = |x: f64| if (x - x.round()).abs() < 1e-9 { x.round().max(1.0) } else { (x + 1e-3).floor() + 1.0 };
     let mask = Mask::of_triangles(&turned, size(extent.x) as usize, size(extent.y) as usize);
-    let probe = Probe::new(&mask.dilated(gutter));
-    let cells = mask.count();
-    Shape { mask, probe, anchor, linear, cells }
+    (mask, anchor, linear)
 }

@@ -1,0 +1,153 @@
+//! The stage `pack`: the charts as they are, placed better.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::options::{IfLarger, Options, OverlapMode, Overflow, Pack, Rotation, Size};
+use super::stage::{Frame, Staged};
+use crate::atlas::{Atlas, Charts, Clusters, Move, Topology, clusters, overlapping_charts};
+use crate::context::Context;
+use crate::error::{Code, Result, Warning};
+use crate::packing::{self, Packing, Piece, Placement, Request, Rounding, Spacing};
+
+/// Quarter-turned charts of mipmapped textures keep to multiples of this many texels, so that mip levels 1 and 2 stay as they were.
+const MIP_LATTICE: u32 = 4;
+
+/// Packs the charts, or the clusters of charts that share texels, on new sheets.
+///
+/// # Errors
+/// `too_large` when a chart fits on no sheet, `canceled`.
+pub fn pack(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) -> Result<Staged> {
+    let topology = Topology::new(atlas);
+    let charts = Charts::new(&topology);
+    let together = clusters(atlas, &charts, options.atlas.overlaps);
+    context.step(0.02, "outlining charts")?;
+    let pieces: Vec<Piece> = together.charts.par_iter().map(|own| piece(atlas, &topology, &charts, own)).collect();
+    let packed = place(&pieces, frame, options, context)?;
+    let next = apply(atlas, &charts, &together, &packed);
+    let staged = Staged { atlas: next, stopped_by: "done", work: packed.work, kept: false };
+    if keeps_input(atlas, &charts, &staged.atlas, frame, options) {
+        context.warn(Warning::new(
+            "kept_input",
+            format!("packing would not make the sheet of atlas {} smaller: it stays as uploaded (set atlas.if_larger to \"accept\" to take the result)", frame.id),
+        ));
+        return Ok(Staged { atlas: atlas.clone(), stopped_by: "no_improvement", kept: true, ..staged });
+    }
+    Ok(staged)
+}
+
+/// Whether the result has more pixels than the input and nothing else speaks for it.
+fn keeps_input(before: &Atlas, charts: &Charts, after: &Atlas, frame: &Frame, options: &Options) -> bool {
+    let area = |sheets: &[[u32; 2]]| sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
+    options.atlas.if_larger == IfLarger::KeepInput
+        && options.texture.size == Size::KeepDensity
+        && !frame.is_virtual
+        && area(&after.sheets) > area(&before.sheets)
+        // Charts that were to be pulled apart need room of their own.
+        && (options.atlas.overlaps == OverlapMode::Stack || overlapping_charts(before, charts).is_empty())
+}
+
+fn piece(atlas: &Atlas, topology: &Topology, charts: &Charts, own: &[crate::atlas::ChartId]) -> Piece {
+    let mut piece = Piece::default();
+    for face in own.iter().flat_map(|c| &charts.faces[c.index()]) {
+        let triangle = atlas.uv_triangle(*face);
+        piece.area += atlas.uv_area(*face).abs();
+        for k in 0..3 {
+            if topology.is_border(*face, k) {
+                piece.border.push(triangle[(k + 1) % 3] - triangle[k]);
+            }
+        }
+        piece.triangles.push(triangle);
+    }
+    piece
+}
+
+/// What the options and the slots' sizes ask of packing.
+fn spacing(frame: &Frame, pack: &Pack, scaled: bool) -> Spacing {
+    let unit = f64::from(frame.unit);
+    let gutter = f64::from(frame.gutter(pack)) * unit;
+    let margin = if gutter > 0.0 { (gutter / unit / 2.0).ceil().max(1.0) * unit } else { 0.0 };
+    if pack.rotation == Rotation::Any || scaled {
+        return Spacing { gutter, margin, lattice: None, unit };
+    }
+    let steps = if frame.mipmaps && !frame.is_virtual { pack.grid.max(MIP_LATTICE.min(frame.gutter(pack).max(1))) } else { pack.grid };
+    // Cells divide the lattice by a power of two: an odd factor goes into the cell.
+    let twos = 1 << steps.trailing_zeros().min(6);
+    let unit = unit * f64::from(steps / twos);
+    let lattice = unit * f64::from(twos);
+    Spacing { gutter, margin: (margin / lattice).ceil() * lattice, lattice: Some(lattice), unit }
+}
+
+fn place(pieces: &[Piece], frame: &Frame, options: &Options, context: &Context) -> Result<Packing> {
+    let texture = &options.texture;
+    let step = f64::from(lcm(texture.multiple_of, frame.unit));
+    let max = f64::from(texture.max_size);
+    let request = Request {
+        pieces,
+        rotation: options.pack.rotation,
+        mirror: options.pack.mirror,
+        spacing: spacing(frame, &options.pack, false),
+        aspect: options.pack.aspect,
+        max: [(max / step).floor().max(1.0) * step; 2],
+        round: match (frame.is_virtual, texture.power_of_two) {
+            (true, _) => Rounding::MultipleOf(1.0),
+            (false, true) => Rounding::PowerOfTwo(step),
+            (false, false) => Rounding::MultipleOf(step),
+        },
+        scale: 1.0,
+        effort: 1.0,
+        seed: options.seed,
+    };
+    let fitted = |sheet: [f64; 2], largest: f64| -> Result<Packing> {
+        let request = Request { spacing: spacing(frame, &options.pack, true), ..request.clone() };
+        match packing::pack_into(&request, sheet, largest, context)? {
+            Some(fitted) => Ok(fitted.packing),
+            None => Err(crate::error::Failure::new(
+                Code::TooLarge,
+                format!("the charts and their gutters do not fit on a sheet of {} x {} texels at any scale", sheet[0], sheet[1]),
+            )
+            .at("/texture/size")),
+        }
+    };
+    match texture.size {
+        Size::KeepSize => return fitted(frame.reference.map(f64::from), f64::INFINITY),
+        Size::Fixed(size) => return fitted(size.map(f64::from), f64::INFINITY),
+        Size::KeepDensity => {}
+    }
+    match packing::pack(&request, context) {
+        Ok(packing) if packing.sheets.len() == 1 || texture.overflow == Overflow::Pages => Ok(packing),
+        Err(failure) if failure.code != Code::TooLarge => Err(failure),
+        _ => {
+            context.warn(Warning::new(
+                "scaled_to_fit",
+                format!("the charts of atlas {} are scaled down to fit on a sheet of {} texels", frame.id, texture.max_size),
+            ));
+            fitted(request.max, 1.0)
+        }
+    }
+}
+
+fn apply(atlas: &Atlas, charts: &Charts, together: &Clusters, packed: &Packing) -> Atlas {
+    let moves: Vec<Move> = charts
+        .ids()
+        .map(|chart| {
+            let Placement { page, linear, translate } = packed.placements[together.of_chart[chart.index()] as usize];
+            Move { page, linear, translate }
+        })
+        .collect();
+    let sheets = packed.sheets.iter().map(|s| s.map(|side| side.round().max(1.0) as u32)).collect();
+    let mut next = atlas.moved(charts, &moves, sheets);
+    // What lies on the sheet's edge must not leave it by a rounding error.
+    for uv in &mut next.uv {
+        *uv = uv.max(DVec2::ZERO);
+    }
+    next
+}
+
+fn lcm(a: u32, b: u32) -> u32 {
+    let (mut x, mut y) = (a.max(1), b.max(1));
+    while y != 0 {
+        (x, y) = (y, x % y);
+    }
+    (a.max(1) / x).saturating_mul(b.max(1))
+}

@@ -1,0 +1,67 @@
+//! What every stage is given and gives back.
+
+use super::options::{Gutter, Pack};
+use crate::asset::TextureSet;
+use crate::atlas::Atlas;
+
+/// What a stage may know of an Atlas' images: sizes and filtering, not contents.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Number of the texture set.
+    pub id: usize,
+    /// Size of the reference sheet as uploaded.
+    pub reference: [u32; 2],
+    /// Reference texels along a texel of the smallest slot, rounded up to a multiple at which every slot's texels are
+    /// whole where there is one.
+    pub unit: u32,
+    /// Whether any image is read through mipmaps.
+    pub mipmaps: bool,
+    /// Whether there are no images at all.
+    pub is_virtual: bool,
+}
+
+impl Frame {
+    /// The frame of a texture set.
+    pub fn new(set: &TextureSet) -> Self {
+        let ratio = |slot: &crate::asset::Slot| {
+            let along = |side: usize, size: u32| (f64::from(set.reference[side]) / f64::from(size.max(1)) - 1e-9).ceil() as u32;
+            along(0, slot.header.width).max(along(1, slot.header.height))
+        };
+        let slots = || set.slots.iter().filter(|s| !s.exempt);
+        let smallest = slots().map(ratio).max().unwrap_or(1).max(1);
+        // Beyond 64 texels a common grid costs more than resampling the odd slot.
+        let unit = match set.grid {
+            Some([x, y]) if x.max(y) <= 64 && x.max(y) % x.min(y).max(1) == 0 => x.max(y).max(smallest),
+            _ => smallest,
+        };
+        Frame {
+            id: set.id,
+            reference: set.reference,
+            unit,
+            mipmaps: slots().any(|s| s.mipmaps),
+            is_virtual: set.slots.is_empty(),
+        }
+    }
+
+    /// Gutter in texels of the smallest slot.
+    pub fn gutter(&self, pack: &Pack) -> u32 {
+        match pack.gutter {
+            Gutter::Texels(n) => n,
+            Gutter::Auto if self.mipmaps => 4,
+            Gutter::Auto => 2,
+        }
+    }
+}
+
+/// What a stage gives back.
+#[derive(Debug, Clone)]
+pub struct Staged {
+    /// The Atlas after the stage.
+    pub atlas: Atlas,
+    /// Why the stage ended.
+    pub stopped_by: &'static str,
+    /// Units of work that its searches spent.
+    pub work: u64,
+    /// Whether the Atlas is the stage's input.
+    pub kept: bool,
+}
