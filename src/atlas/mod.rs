@@ -4,6 +4,7 @@
 //! the three UV corners of each face, and each face's [`Provenance`]. Charts, seams, loops and
 //! adjacency are derived ([`Topology`], [`Charts`]), never stored beside it.
 
+mod area;
 pub(crate) mod bvh;
 mod charts;
 mod clusters;
@@ -13,6 +14,7 @@ mod overlap;
 pub(crate) mod testing;
 mod topology;
 
+pub use area::{Coverage, coverage, coverage_of_page, covered_area};
 pub use charts::{Charts, Loops};
 pub use clusters::{Clusters, clusters};
 pub use ids::{ChartId, FaceId, UvId, VertexId};
