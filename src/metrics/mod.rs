@@ -4,13 +4,20 @@
 //! what a job says about its work, [`unmet`] what a user's requirements make of it, [`picture`] shows the charts.
 
 mod boundary;
+mod canvas;
 mod charts;
 mod coverage;
 mod density;
 mod distortion;
+mod gate;
 mod gutter;
 mod measures;
+mod picture;
 mod raster;
+mod report;
 
 pub use density::TexelDensity;
+pub use gate::{Unmet, check_path, lookup, paths, unmet};
 pub use measures::{Frame, Measures, SlotSize, measure, roll_up};
+pub use picture::picture;
+pub use report::{AtlasReport, ImageReport, InputReport, ModelReport, Report, StageReport, TextureReport};
