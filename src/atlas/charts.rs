@@ -18,6 +18,8 @@ impl Charts {
         let n = topology.uv_twin.len() / 3;
         let mut of_face = vec![ChartId(u32::MAX); n];
         let mut faces: Vec<Vec<FaceId>> = Vec::new();
+        let mut crowded: Vec<[FaceId; 2]> = topology.crowded.iter().flat_map(|&[a, b]| [[a, b], [b, a]]).collect();
+        crowded.sort_unstable();
         let mut stack = Vec::new();
         for seed in 0..n {
             if of_face[seed].0 != u32::MAX {
@@ -29,12 +31,10 @@ impl Charts {
             let mut own = Vec::new();
             while let Some(f) = stack.pop() {
                 own.push(FaceId::new(f));
-                for k in 0..3 {
-                    let twin = topology.uv_twin[3 * f + k];
-                    if twin == NONE {
-                        continue;
-                    }
-                    let g = (twin / 3) as usize;
+                let twins = topology.uv_twin[3 * f..3 * f + 3].iter().filter(|t| **t != NONE).map(|t| t / 3);
+                let start = crowded.partition_point(|p| p[0].index() < f);
+                let others = crowded[start..].iter().take_while(|p| p[0].index() == f).map(|p| p[1].0);
+                for g in twins.chain(others).map(|g| g as usize) {
                     if of_face[g].0 == u32::MAX {
                         of_face[g] = chart;
                         stack.push(g);
@@ -118,4 +118,20 @@ fn next_border(topology: &Topology, h: HalfEdge) -> HalfEdge {
 
 fn next_in_face(h: HalfEdge) -> HalfEdge {
     h / 3 * 3 + (h + 1) % 3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::atlas::testing::atlas;
+    use glam::DVec2;
+
+    #[test]
+    fn all_faces_on_one_uv_edge_are_one_chart() {
+        // Three fins on the edge 0-1, wound alike, and a face that is folded onto it.
+        let uv = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.3, 1.0], [0.6, 1.0]].map(DVec2::from).to_vec();
+        let fins = [[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 1, 1]].map(|c| c.map(UvId));
+        let charts = Charts::new(&Topology::new(&atlas(uv, fins.to_vec())));
+        assert_eq!(charts.len(), 1);
+    }
 }

@@ -4,14 +4,23 @@
 //! the three UV corners of each face, and each face's [`Provenance`]. Charts, seams, loops and
 //! adjacency are derived ([`Topology`], [`Charts`]), never stored beside it.
 
+mod area;
+pub(crate) mod bvh;
 mod charts;
 mod edit;
+mod clusters;
 mod ids;
+mod overlap;
+#[cfg(test)]
+pub(crate) mod testing;
 mod topology;
 
+pub use area::{Coverage, coverage, coverage_of_page, covered_area};
 pub use charts::{Charts, Loops};
 pub use edit::Move;
+pub use clusters::{Clusters, clusters};
 pub use ids::{ChartId, FaceId, UvId, VertexId};
+pub use overlap::{Overlaps, orientation, overlapping_charts, overlaps, penetration, triangles_overlap};
 pub use topology::Topology;
 
 use glam::{DVec2, DVec3};

@@ -23,6 +23,9 @@ pub struct Topology {
     pub surface_twin: Vec<HalfEdge>,
     /// Number of surface edges with more than two faces.
     pub non_manifold_edges: usize,
+    /// Pairs of faces on one UV edge that has more than two half edges. They hang together though
+    /// `uv_twin` may not say so: a chart is all faces that share UV edges.
+    pub crowded: Vec<[FaceId; 2]>,
 }
 
 impl Topology {
@@ -35,13 +38,28 @@ impl Topology {
             (a.0, b.0)
         });
         pair_runs(&mut keys, &mut uv_twin, &[]);
+        let mut crowded: Vec<[FaceId; 2]> = keys
+            .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
+            .filter(|run| run.len() > 2)
+            .flat_map(|run| run.windows(2).map(|w| [Self::face(w[0].3), Self::face(w[1].3)]))
+            .filter(|pair| pair[0] != pair[1])
+            .collect();
+        // Edges without length: the only ones that a triangle collapsed to a point has.
+        let mut points: Vec<(u32, FaceId)> = (0..n)
+            .map(|h| (edge(&atlas.corners[h / 3], h % 3), FaceId::new(h / 3)))
+            .filter(|(ends, _)| ends[0] == ends[1])
+            .map(|(ends, face)| (ends[0].0, face))
+            .collect();
+        points.sort_unstable();
+        points.dedup();
+        crowded.extend(points.windows(2).filter(|w| w[0].0 == w[1].0).map(|w| [w[0].1, w[1].1]));
         let mut surface_twin = uv_twin.clone();
         let mut keys = sorted_edges(n, |h| {
             let [a, b] = edge(&atlas.surface.triangles[h / 3], h % 3);
             (a.0, b.0)
         });
         let non_manifold_edges = pair_runs(&mut keys, &mut surface_twin, &uv_twin);
-        Topology { uv_twin, surface_twin, non_manifold_edges }
+        Topology { uv_twin, surface_twin, non_manifold_edges, crowded }
     }
 
     /// The face of a half edge.

@@ -1,1 +1,23 @@
-//! metrics.
+//! What an atlas is worth: figures, pictures, and the report's schema.
+//!
+//! [`measure`] gives the [`Measures`] of one atlas, one file a family; [`roll_up`] those of a model. [`Report`] is
+//! what a job says about its work, [`unmet`] what a user's requirements make of it, [`picture`] shows the charts.
+
+mod boundary;
+mod canvas;
+mod charts;
+mod coverage;
+mod density;
+mod distortion;
+mod gate;
+mod gutter;
+mod measures;
+mod picture;
+mod raster;
+mod report;
+
+pub use density::TexelDensity;
+pub use gate::{Unmet, check_path, lookup, paths, unmet};
+pub use measures::{Frame, Measures, SlotSize, measure, roll_up};
+pub use picture::picture;
+pub use report::{AtlasReport, ImageReport, InputReport, ModelReport, Report, StageReport, TextureReport};

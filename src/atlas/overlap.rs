@@ -1,0 +1,346 @@
+//! Exact overlap of UV triangles: which faces, and which charts, share texels.
+//!
+//! Two triangles overlap when their interiors have a point in common; touching is not overlapping. The
+//! decision is made with adaptive exact predicates (Shewchuk 1997), so a shared edge never counts, however
+//! its ends were rounded, and an overlap of one part in 1e15 does.
+
+use glam::DVec2;
+use rayon::prelude::*;
+use robust::{Coord, orient2d};
+
+use super::bvh::{Bounds, Bvh};
+use super::{Atlas, ChartId, Charts, FaceId};
+
+/// Overlapping pairs of faces, each pair ascending, the pairs sorted.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Overlaps {
+    /// Pairs within one chart.
+    pub intra: Vec<(FaceId, FaceId)>,
+    /// Pairs of different charts.
+    pub inter: Vec<(FaceId, FaceId)>,
+    /// Whether a limit cut the search short, so that there may be more pairs.
+    pub truncated: bool,
+}
+
+/// Sign of the area of (a, b, c), exact: 1 counter-clockwise with y up, -1 clockwise, 0 degenerate.
+pub fn orientation(a: DVec2, b: DVec2, c: DVec2) -> i8 {
+    let coord = |p: DVec2| Coord { x: p.x, y: p.y };
+    let det = orient2d(coord(a), coord(b), coord(c));
+    i8::from(det > 0.0) - i8::from(det < 0.0)
+}
+
+/// Whether the interiors of two triangles, of either orientation, have a point in common. Exact.
+///
+/// The interiors of two convex polygons are disjoint if and only if the line of some edge of one separates
+/// them, weakly. Degenerate triangles have no interior.
+pub fn triangles_overlap(a: &[DVec2; 3], b: &[DVec2; 3]) -> bool {
+    if !Bounds::of(a).meets(&Bounds::of(b)) {
+        return false;
+    }
+    let (Some(a), Some(b)) = (counter_clockwise(a), counter_clockwise(b)) else { return false };
+    !separates(&a, &b) && !separates(&b, &a)
+}
+
+fn counter_clockwise(t: &[DVec2; 3]) -> Option<[DVec2; 3]> {
+    match orientation(t[0], t[1], t[2]) {
+        1 => Some(*t),
+        -1 => Some([t[0], t[2], t[1]]),
+        _ => None,
+    }
+}
+
+/// Whether an edge of `a` has all of `b` on its outer side or on its line.
+fn separates(a: &[DVec2; 3], b: &[DVec2; 3]) -> bool {
+    (0..3).any(|k| {
+        let (p, q) = (a[k], a[(k + 1) % 3]);
+        b.iter().all(|&v| v == p || v == q || orientation(p, q, v) <= 0)
+    })
+}
+
+/// How far one of two triangles must move until they no longer overlap, in the units of the UVs; 0 where they do not.
+pub fn penetration(a: &[DVec2; 3], b: &[DVec2; 3]) -> f64 {
+    if !triangles_overlap(a, b) {
+        return 0.0;
+    }
+    let (Some(a), Some(b)) = (counter_clockwise(a), counter_clockwise(b)) else { return 0.0 };
+    let one = |a: &[DVec2; 3], b: &[DVec2; 3]| {
+        (0..3)
+            .map(|k| {
+                let (p, q) = (a[k], a[(k + 1) % 3]);
+                let inner = (q - p).perp().normalize_or_zero();
+                b.iter().map(|&v| inner.dot(v - p)).fold(0.0, f64::max)
+            })
+            .fold(f64::INFINITY, f64::min)
+    };
+    one(&a, &b).min(one(&b, &a))
+}
+
+/// Pair tests per face before a search gives up: far above what any real atlas needs, and low enough to end.
+const TESTS_PER_FACE: usize = 20_000;
+/// Positions per parallel task; fixed, so that what a limit keeps does not depend on the number of threads.
+const BLOCK: usize = 512;
+/// Tasks between two looks at the limit.
+const ROUND: usize = 32;
+
+/// All overlapping pairs of faces that lie on the same page, at most `limit` of them (see [`Overlaps::truncated`]).
+/// Faces with UVs that are not finite are left out.
+pub fn overlaps(atlas: &Atlas, charts: &Charts, limit: usize) -> Overlaps {
+    let mut found = Overlaps::default();
+    let mut room = limit;
+    for page in 0..page_count(atlas) {
+        let faces = faces_with_area(atlas, atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page));
+        let tree = Bvh::new(&faces.iter().map(|&f| Bounds::of(&atlas.uv_triangle(f))).collect::<Vec<_>>());
+        let sorted: Vec<FaceId> = tree.order.iter().map(|&i| faces[i as usize]).collect();
+        let triangles: Vec<[DVec2; 3]> = sorted.iter().map(|&f| atlas.uv_triangle(f)).collect();
+        let blocks: Vec<usize> = (0..sorted.len()).step_by(BLOCK).collect();
+        for round in blocks.chunks(ROUND) {
+            let parts: Vec<(Vec<(FaceId, FaceId)>, bool)> =
+                round.par_iter().map(|&b| block_pairs(&tree, &triangles, &sorted, b, room)).collect();
+            for (mut pairs, cut) in parts {
+                found.truncated |= cut || pairs.len() > room;
+                pairs.truncate(room);
+                room -= pairs.len();
+                let (own, other): (Vec<_>, Vec<_>) =
+                    pairs.into_iter().partition(|p| charts.of_face[p.0.index()] == charts.of_face[p.1.index()]);
+                found.intra.extend(own);
+                found.inter.extend(other);
+            }
+        }
+    }
+    found.intra.par_sort_unstable();
+    found.inter.par_sort_unstable();
+    found
+}
+
+/// The pairs of the faces at positions `start..start + BLOCK` with later ones; whether a limit was hit.
+fn block_pairs(
+    tree: &Bvh,
+    triangles: &[[DVec2; 3]],
+    faces: &[FaceId],
+    start: usize,
+    limit: usize,
+) -> (Vec<(FaceId, FaceId)>, bool) {
+    let mut pairs = Vec::new();
+    let mut tests = TESTS_PER_FACE * BLOCK;
+    for p in start..(start + BLOCK).min(faces.len()) {
+        tree.query(
+            &tree.bounds_at(p),
+            p + 1,
+            |_| true,
+            |q| {
+                tests = tests.saturating_sub(1);
+                if triangles_overlap(&triangles[p], &triangles[q]) {
+                    pairs.push((faces[p].min(faces[q]), faces[p].max(faces[q])));
+                }
+                tests > 0 && pairs.len() <= limit
+            },
+        );
+        if tests == 0 || pairs.len() > limit {
+            return (pairs, true);
+        }
+    }
+    (pairs, false)
+}
+
+/// Number of pages that faces lie on.
+pub(crate) fn page_count(atlas: &Atlas) -> usize {
+    atlas.page.iter().map(|&p| usize::from(p) + 1).max().unwrap_or(0)
+}
+
+/// Those faces whose UVs are finite and whose exact area is not zero.
+pub(crate) fn faces_with_area(atlas: &Atlas, faces: impl Iterator<Item = FaceId>) -> Vec<FaceId> {
+    faces
+        .filter(|&f| {
+            let [a, b, c] = atlas.uv_triangle(f);
+            a.is_finite() && b.is_finite() && c.is_finite() && orientation(a, b, c) != 0
+        })
+        .collect()
+}
+
+/// The charts of an Atlas as bodies that can be tested against each other.
+pub(crate) struct Bodies {
+    /// By chart: page and bounding box of the faces with an area; empty charts lie on no page.
+    pub place: Vec<(u16, Bounds)>,
+    trees: Vec<(Bvh, Vec<[DVec2; 3]>)>,
+}
+
+impl Bodies {
+    pub(crate) fn new(atlas: &Atlas, charts: &Charts) -> Self {
+        let trees: Vec<_> = charts
+            .faces
+            .par_iter()
+            .map(|faces| {
+                let faces = faces_with_area(atlas, faces.iter().copied());
+                let triangles: Vec<_> = faces.iter().map(|&f| atlas.uv_triangle(f)).collect();
+                let tree = Bvh::new(&triangles.iter().map(|t| Bounds::of(t)).collect::<Vec<_>>());
+                let sorted = tree.order.iter().map(|&i| triangles[i as usize]).collect();
+                (tree, sorted)
+            })
+            .collect();
+        let place = charts
+            .faces
+            .iter()
+            .zip(&trees)
+            .map(|(faces, (tree, _))| (faces.first().map_or(0, |f| atlas.page[f.index()]), tree.bounds()))
+            .collect();
+        Bodies { place, trees }
+    }
+
+    /// Whether two charts overlap; stops at the first pair of faces.
+    pub(crate) fn overlap(&self, a: usize, b: usize) -> bool {
+        if self.place[a].0 != self.place[b].0 || !self.place[a].1.meets(&self.place[b].1) {
+            return false;
+        }
+        let (a, b) = if self.trees[a].1.len() <= self.trees[b].1.len() { (a, b) } else { (b, a) };
+        let (small, triangles) = &self.trees[a];
+        let (large, others) = &self.trees[b];
+        let mut hit = false;
+        small.query(
+            &large.bounds(),
+            0,
+            |_| true,
+            |p| {
+                large.query(
+                    &small.bounds_at(p),
+                    0,
+                    |_| true,
+                    |q| {
+                        hit = triangles_overlap(&triangles[p], &others[q]);
+                        !hit
+                    },
+                );
+                !hit
+            },
+        );
+        hit
+    }
+}
+
+/// The pairs of charts that overlap, each ascending, sorted. A pair is searched only until its first overlap.
+pub fn overlapping_charts(atlas: &Atlas, charts: &Charts) -> Vec<(ChartId, ChartId)> {
+    let bodies = Bodies::new(atlas, charts);
+    let boxes: Vec<Bounds> = bodies.place.iter().map(|p| p.1).collect();
+    let tree = Bvh::new(&boxes);
+    let mut pairs: Vec<(ChartId, ChartId)> = (0..charts.len())
+        .into_par_iter()
+        .flat_map_iter(|p| {
+            let a = tree.order[p] as usize;
+            let mut own = Vec::new();
+            tree.query(
+                &boxes[a],
+                p + 1,
+                |_| true,
+                |q| {
+                    let b = tree.order[q] as usize;
+                    if bodies.overlap(a, b) {
+                        own.push((ChartId::new(a.min(b)), ChartId::new(a.max(b))));
+                    }
+                    true
+                },
+            );
+            own
+        })
+        .collect();
+    pairs.par_sort_unstable();
+    pairs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::atlas::Topology;
+    use crate::atlas::testing::{Rng, soup};
+
+    fn tri(p: [[f64; 2]; 3]) -> [DVec2; 3] {
+        p.map(DVec2::from)
+    }
+
+    #[test]
+    fn touching_is_not_overlapping() {
+        let a = tri([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]);
+        let cases = [
+            (tri([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), false), // shares an edge
+            (tri([[0.25, 0.75], [2.0, 2.0], [0.75, 0.25]]), false), // lies along an edge
+            (tri([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]), false), // shares a corner
+            (a, true),                                          // the same
+            ([a[0], a[2], a[1]], true),                         // mirrored
+            (tri([[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]]), true),  // inside
+            (tri([[0.1, 0.1], [0.2, 0.2], [0.3, 0.3]]), false), // degenerate, inside
+            (tri([[1.0 - 1e-13, 0.0], [2.0, 0.0], [2.0, 1.0]]), true), // by a hair
+            (tri([[1.0 + 1e-13, 0.0], [2.0, 0.0], [2.0, 1.0]]), false),
+        ];
+        for (b, expected) in cases {
+            assert_eq!(triangles_overlap(&a, &b), expected, "{b:?}");
+            assert_eq!(triangles_overlap(&b, &a), expected, "{b:?} first");
+        }
+    }
+
+    #[test]
+    fn a_shared_edge_at_odd_coordinates_is_exact() {
+        // Floating-point cross products of these get signs wrong; exact ones do not.
+        let mut rng = Rng(7);
+        for _ in 0..2000 {
+            let (p, q) = (rng.point(1.0) + DVec2::splat(1e6 / 3.0), rng.point(1.0) + DVec2::splat(1e6 / 3.0));
+            let mut side = |s: f64| (p + q) * 0.5 + (q - p).perp() * s * (1e-9 + rng.unit());
+            let (l, r) = (side(1.0), side(-1.0));
+            if orientation(p, q, l) * orientation(p, q, r) < 0 {
+                assert!(!triangles_overlap(&[p, q, l], &[q, p, r]));
+                assert!(triangles_overlap(&[p, q, l], &[p, q, l]));
+            }
+        }
+    }
+
+    #[test]
+    fn all_pairs_are_found_and_no_other() {
+        let mut rng = Rng(3);
+        for size in [0.5, 3.0, 40.0] {
+            let mut triangles: Vec<[DVec2; 3]> = (0..400)
+                .map(|_| {
+                    let p = rng.point(100.0);
+                    [p, p + rng.point(size), p + rng.point(size)].map(|p| (p * 8.0).round() / 8.0)
+                })
+                .collect();
+            triangles.push([DVec2::NAN; 3]);
+            let mut atlas = soup(&triangles);
+            for f in 0..triangles.len() {
+                atlas.page[f] = (f % 2) as u16;
+            }
+            atlas.sheets.push([100, 100]);
+            let charts = Charts::new(&Topology::new(&atlas));
+            let found = overlaps(&atlas, &charts, usize::MAX);
+            let mut expected = Vec::new();
+            for i in 0..triangles.len() {
+                for j in i + 1..triangles.len() {
+                    if atlas.page[i] == atlas.page[j] && triangles_overlap(&triangles[i], &triangles[j]) {
+                        expected.push((FaceId::new(i), FaceId::new(j)));
+                    }
+                }
+            }
+            assert!(!expected.is_empty() && !found.truncated && found.intra.is_empty());
+            assert_eq!(found.inter, expected);
+            let pairs: Vec<_> = expected.iter().map(|p| (ChartId(p.0.0), ChartId(p.1.0))).collect();
+            assert_eq!(overlapping_charts(&atlas, &charts), pairs, "each face is a chart here");
+        }
+    }
+
+    #[test]
+    fn a_limit_is_kept_and_told() {
+        let atlas = soup(&vec![tri([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]); 3000]);
+        let charts = Charts::new(&Topology::new(&atlas));
+        let found = overlaps(&atlas, &charts, 100);
+        assert_eq!((found.inter.len(), found.truncated), (100, true));
+        let one = rayon::ThreadPoolBuilder::new()
+            .num_threads(1)
+            .build()
+            .map(|p| p.install(|| overlaps(&atlas, &charts, 100)));
+        assert_eq!(one.ok(), Some(found), "the same for any number of threads");
+    }
+
+    #[test]
+    fn penetration_is_the_shortest_way_out() {
+        let a = tri([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]]);
+        let b = a.map(|p| p + DVec2::new(0.0, 3.5));
+        assert!((penetration(&a, &b) - 0.5 * 0.5f64.sqrt()).abs() < 1e-12, "{}", penetration(&a, &b));
+        assert_eq!(penetration(&a, &a.map(|p| p + DVec2::new(4.0, 0.0))), 0.0);
+    }
+}

@@ -1,0 +1,56 @@
+//! Lengths: UV borders and 3D seams; and how often a vertex was split by them.
+
+use glam::DVec2;
+
+use super::measures::Totals;
+use crate::atlas::bvh::Bounds;
+use crate::atlas::{Atlas, Topology};
+
+/// The half edge's ends, as places in its face's corners.
+fn ends(h: usize) -> (usize, usize, usize) {
+    (h / 3, h % 3, (h + 1) % 3)
+}
+
+pub(super) fn add(totals: &mut Totals, atlas: &Atlas, topology: &Topology, input: &Atlas) {
+    for h in 0..topology.uv_twin.len() {
+        if topology.uv_twin[h] != u32::MAX {
+            continue;
+        }
+        let (f, i, j) = ends(h);
+        let corners = atlas.corners[f];
+        totals.uv_border += atlas.uv[corners[i].index()].distance(atlas.uv[corners[j].index()]);
+        let across = topology.surface_twin[h];
+        if across != u32::MAX && h < across as usize {
+            let t = atlas.surface.triangles[f];
+            let ends = [t[i], t[j]].map(|v| atlas.surface.positions[v.index()]);
+            totals.seam += ends[0].distance(ends[1]);
+        }
+    }
+    totals.uv_area = atlas.faces().map(|f| atlas.uv_area(f).abs()).sum();
+    totals.uv_vertices = count(atlas.uv.len(), atlas.corners.iter().flatten().map(|u| u.index()));
+    let used = atlas.surface.triangles.iter().flatten().map(|v| v.index());
+    totals.vertices = count(atlas.surface.positions.len(), used.clone());
+    totals.bounds = used
+        .map(|v| atlas.surface.positions[v])
+        .fold(None, |b, p| Some(b.map_or((p, p), |(low, high): (glam::DVec3, glam::DVec3)| (low.min(p), high.max(p)))));
+    totals.input_side = page_boxes(input).iter().map(|b| b.size().max_element()).fold(0.0, f64::max);
+}
+
+/// How many different values below `bound` there are.
+fn count(bound: usize, values: impl Iterator<Item = usize>) -> u64 {
+    let mut seen = vec![false; bound];
+    values.filter(|&v| !std::mem::replace(&mut seen[v], true)).count() as u64
+}
+
+/// Bounding box of the UVs of each page that has faces.
+pub(super) fn page_boxes(atlas: &Atlas) -> Vec<Bounds> {
+    let mut boxes = vec![Bounds::EMPTY; atlas.page.iter().map(|p| usize::from(*p) + 1).max().unwrap_or(0)];
+    for f in atlas.faces() {
+        let corners: [DVec2; 3] = atlas.uv_triangle(f);
+        if corners.iter().all(|c| c.is_finite()) {
+            let own = &mut boxes[usize::from(atlas.page[f.index()])];
+            *own = own.union(Bounds::of(&corners));
+        }
+    }
+    boxes
+}

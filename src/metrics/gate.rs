@@ -1,0 +1,215 @@
+//! What a user's requirements make of a report.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use utoipa::ToSchema;
+
+use super::{Measures, Report};
+use crate::error::{Code, Failure, Result};
+use crate::refine::options::Requirement;
+
+/// A requirement that is not met.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Unmet {
+    /// The path as the user wrote it.
+    pub path: String,
+    /// What was asked, in words: `min 0.8`.
+    pub wanted: String,
+    /// What was found, in words: a number with its atlas, or why the figure is undefined.
+    pub got: String,
+}
+
+/// Every path that `require` may name.
+pub fn paths() -> Vec<String> {
+    let mut figures = Vec::new();
+    if let Ok(Value::Object(measures)) = serde_json::to_value(Measures::default()) {
+        for (name, value) in measures {
+            match value {
+                Value::Object(_) if name == "undefined" => {}
+                Value::Object(parts) => figures.extend(parts.keys().map(|part| format!("{name}.{part}"))),
+                _ => figures.push(name),
+            }
+        }
+    }
+    ["atlas", "model"].iter().flat_map(|scope| figures.iter().map(move |f| format!("{scope}.{f}"))).collect()
+}
+
+/// Checks that `path` names a figure; else the failure names the nearest one that does.
+pub fn check_path(path: &str) -> Result<()> {
+    let known = paths();
+    if known.iter().any(|k| k == path) {
+        return Ok(());
+    }
+    // Without the scope, the name alone finds its neighbour.
+    let near = |k: &String| strsim::damerau_levenshtein(k, path).min(strsim::damerau_levenshtein(&k[6..], path) + 1);
+    let nearest = known.iter().min_by_key(|k| near(k)).cloned().unwrap_or_default();
+    Err(Failure::new(
+        Code::InvalidOptions,
+        format!("`{path}` is not a figure of the report; did you mean `{nearest}`?"),
+    )
+    .at(format!("/require/{}", path.replace('~', "~0").replace('/', "~1"))))
+}
+
+/// The figure of `path` (`atlas.` and `model.` stripped), or why it is not defined.
+fn figure(measures: &Measures, name: &str) -> std::result::Result<f64, String> {
+    let value = serde_json::to_value(measures).unwrap_or_default();
+    let found = name.split('.').try_fold(&value, |v, key| v.get(key)).and_then(Value::as_f64);
+    found.ok_or_else(|| measures.undefined.get(name).cloned().unwrap_or_else(|| "it is not defined".to_owned()))
+}
+
+/// The values (before, after) of a dotted path: of the model, or of every refined atlas, with the atlas' id.
+/// An undefined figure is an `Err` with its reason. `invalid_options` where there is no such figure.
+#[expect(clippy::type_complexity, reason = "a list of pairs, read once")]
+pub fn lookup(
+    report: &Report,
+    path: &str,
+) -> Result<Vec<(Option<u64>, std::result::Result<f64, String>, std::result::Result<f64, String>)>> {
+    check_path(path)?;
+    let (scope, name) = path.split_once('.').unwrap_or((path, ""));
+    Ok(match scope {
+        "model" => vec![(None, figure(&report.model.before, name), figure(&report.model.after, name))],
+        _ => report
+            .atlases
+            .iter()
+            .filter(|a| a.refined)
+            .map(|a| (Some(a.id), figure(&a.before, name), figure(&a.after, name)))
+            .collect(),
+    })
+}
+
+/// The requirements that `report` does not meet, by path; of several atlases the worst is named. An undefined figure
+/// fails, and so does `atlas.` when no atlas was refined.
+pub fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result<Vec<Unmet>> {
+    let mut failures = Vec::new();
+    for (path, wanted) in require {
+        let values = lookup(report, path)?;
+        for bound in bounds(wanted) {
+            // The worst so far: how far from the bound (infinite where undefined), and in words.
+            let mut worst: Option<(f64, String)> = None;
+            if values.is_empty() {
+                worst = Some((f64::INFINITY, "no atlas was refined".to_owned()));
+            }
+            for (atlas, before, after) in &values {
+                let (miss, got) = match bound.miss(before, after) {
+                    Ok((miss, got)) => (miss, format!("{got}")),
+                    Err(reason) => (f64::INFINITY, format!("undefined: {reason}")),
+                };
+                if miss > 0.0 && worst.as_ref().is_none_or(|w| miss > w.0) {
+                    let of = atlas.map(|id| format!(" (atlas {id})")).unwrap_or_default();
+                    worst = Some((miss, got + &of));
+                }
+            }
+            if let Some((_, got)) = worst {
+                failures.push(Unmet { path: path.clone(), wanted: format!("{} {}", bound.name, bound.value), got });
+            }
+        }
+    }
+    Ok(failures)
+}
+
+struct Bound {
+    name: &'static str,
+    value: f64,
+}
+
+fn bounds(r: &Requirement) -> impl Iterator<Item = Bound> {
+    [("min", r.min), ("max", r.max), ("min_gain", r.min_gain), ("max_ratio", r.max_ratio)]
+        .into_iter()
+        .filter_map(|(name, value)| value.map(|value| Bound { name, value }))
+}
+
+type Figure = std::result::Result<f64, String>;
+
+impl Bound {
+    /// By how much the bound is missed (not at all where <= 0), and the value that is compared.
+    fn miss(&self, before: &Figure, after: &Figure) -> std::result::Result<(f64, f64), String> {
+        let after = after.clone()?;
+        Ok(match self.name {
+            "min" => (self.value - after, after),
+            "max" => (after - self.value, after),
+            "min_gain" => {
+                let gain = after - before.clone()?;
+                (self.value - gain, gain)
+            }
+            _ => {
+                let ratio = match before.clone()? {
+                    0.0 if after == 0.0 => 1.0,
+                    0.0 => return Err("it was 0 before".to_owned()),
+                    before => after / before,
+                };
+                (ratio - self.value, ratio)
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::{AtlasReport, InputReport, ModelReport};
+
+    fn report(efficiencies: &[Option<f64>]) -> Report {
+        let of = |value: Option<f64>| Measures {
+            packing_efficiency: value,
+            undefined: BTreeMap::from([("packing_efficiency".to_owned(), "no box".to_owned())]),
+            ..Measures::default()
+        };
+        let atlas = |(id, e): (usize, &Option<f64>)| AtlasReport {
+            id: id as u64,
+            refined: true,
+            before: of(Some(0.5)),
+            after: of(*e),
+            ..AtlasReport::default()
+        };
+        Report {
+            schema: Report::SCHEMA,
+            intarsia: String::new(),
+            input: InputReport::default(),
+            stages: vec![],
+            atlases: efficiencies.iter().enumerate().map(atlas).collect(),
+            textures: vec![],
+            model: ModelReport { before: of(Some(0.5)), after: of(Some(0.75)) },
+            warnings: vec![],
+        }
+    }
+
+    fn require(path: &str, requirement: Requirement) -> BTreeMap<String, Requirement> {
+        BTreeMap::from([(path.to_owned(), requirement)])
+    }
+
+    #[test]
+    fn the_worst_atlas_counts_and_undefined_fails() {
+        let min = require("atlas.packing_efficiency", Requirement { min: Some(0.7), ..Requirement::default() });
+        let failures = unmet(&report(&[Some(0.9), Some(0.6), Some(0.65)]), &min).unwrap_or_default();
+        assert_eq!(failures.len(), 1);
+        assert_eq!((failures[0].wanted.as_str(), failures[0].got.as_str()), ("min 0.7", "0.6 (atlas 1)"));
+        let failures = unmet(&report(&[Some(0.9), None]), &min).unwrap_or_default();
+        assert_eq!(failures[0].got, "undefined: no box (atlas 1)");
+        assert_eq!(unmet(&report(&[Some(0.7)]), &min), Ok(vec![]), "a bound that is just met is met");
+        assert_eq!(unmet(&report(&[]), &min).map(|f| f.len()), Ok(1), "nothing refined meets nothing");
+    }
+
+    #[test]
+    fn gains_and_ratios_compare_with_before() {
+        let wanted = Requirement { min_gain: Some(0.3), max_ratio: Some(1.4), ..Requirement::default() };
+        let failures = unmet(&report(&[]), &require("model.packing_efficiency", wanted)).unwrap_or_default();
+        let words: Vec<_> = failures.iter().map(|f| (f.wanted.as_str(), f.got.as_str())).collect();
+        assert_eq!(words, [("min_gain 0.3", "0.25"), ("max_ratio 1.4", "1.5")]);
+    }
+
+    #[test]
+    fn an_unknown_path_names_its_neighbour() {
+        for (path, nearest) in [
+            ("atlas.packing_eficiency", "`atlas.packing_efficiency`"),
+            ("model.texel_density.medain", "`model.texel_density.median`"),
+            ("model.undefined", "`model."),
+            ("seam_length", "`atlas.seam_length`"),
+        ] {
+            let failure = unmet(&report(&[]), &require(path, Requirement::default())).err();
+            assert!(failure.as_ref().is_some_and(|f| f.code == Code::InvalidOptions), "{path}");
+            assert!(failure.is_some_and(|f| f.message.contains(nearest)), "{path}");
+        }
+    }
+}

@@ -1,0 +1,308 @@
+//! The measures of one atlas, and of a model: what the report shows before and after.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::density::{self, TexelDensity};
+use super::distortion::{self, Strain};
+use super::{boundary, charts, coverage, gutter};
+use crate::atlas::{Atlas, Charts, Clusters, Coverage, Topology};
+
+/// What `measure` must know beside the atlas itself.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame<'a> {
+    /// The atlas before refinement: for the box of `boundary_length` and for `distortion_from_input`. `None`: the atlas is the input.
+    pub input: Option<&'a Atlas>,
+    /// Charts that share texels on purpose.
+    pub clusters: &'a Clusters,
+    /// Every image of the set, on every page; empty for a virtual page.
+    pub slots: &'a [SlotSize],
+    /// Fraction of the 3D area whose texels were not copied verbatim, where textures were baked.
+    pub resampled_area: Option<f64>,
+    /// Mean squared difference of the surface signal, where it was computed.
+    pub signal_error: Option<f64>,
+}
+
+/// Size of one image of a texture set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SlotSize {
+    /// Page of the atlas that the image belongs to.
+    pub page: u16,
+    /// Width in texels.
+    pub width: u32,
+    /// Height in texels.
+    pub height: u32,
+    /// Bytes of the encoded file.
+    pub bytes: u64,
+    /// Whether the layout does not matter to it (one colour): left out of `gutter_texels`.
+    pub exempt: bool,
+}
+
+/// The measures of one atlas, or of a model. Figures that are not defined are null, with the reason in `undefined`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Measures {
+    /// Number of triangles.
+    pub triangles: u64,
+    /// Number of charts.
+    pub charts: u64,
+    /// Triangles whose UV orientation is not that of their chart (the sign of the chart's area).
+    pub flipped_triangles: u64,
+    /// Triangles without area in 3D or in UV; left out of the energies.
+    pub degenerate_triangles: u64,
+    /// Area covered, each point once / area of the bounding box of the charts, over all pages.
+    pub packing_efficiency: Option<f64>,
+    /// The same, but where charts share texels each of them counts: over 1 is possible.
+    pub packing_efficiency_by_charts: Option<f64>,
+    /// Fraction of the sheets' texels whose centre a chart covers.
+    pub utilisation: Option<f64>,
+    /// Area covered more than once by accident (by one chart, or by charts of different clusters) / area covered.
+    pub overlap_fraction: Option<f64>,
+    /// Area covered by several charts of one cluster / area covered.
+    pub stacked_fraction: Option<f64>,
+    /// UV border length / longest side of the bounding box of the charts before refinement [box cutter].
+    pub boundary_length: Option<f64>,
+    /// 3D length of the seams, each once, mesh boundary apart / sqrt(surface area / pi) [OptCuts, E_s].
+    pub seam_length: Option<f64>,
+    /// 3D length of the seams, each once / diagonal of the surface's bounding box [bounded packing efficiency].
+    pub seam_length_diagonal: Option<f64>,
+    /// Area-weighted mean of s1^2 + s2^2 + s1^-2 + s2^-2 at the best global scale; 4 is isometric [OptCuts, E_d].
+    pub symmetric_dirichlet: Option<f64>,
+    /// The same from the input UVs to these; 4 is rigid.
+    pub distortion_from_input: Option<f64>,
+    /// 2 sqrt(pi * UV area) / UV border length; 1 is a disk [defragmentation].
+    pub solidity: Option<f64>,
+    /// UV vertices / 3D vertices [defragmentation].
+    pub vertex_replication: Option<f64>,
+    /// 3D area of the smallest chart / surface area.
+    pub smallest_chart: Option<f64>,
+    /// Charts with less than 3 % of the surface area.
+    pub charts_under_3_percent: u64,
+    /// Texels of the largest slot per unit of mesh length, over triangles with an area.
+    pub texel_density: TexelDensity,
+    /// Free texels between the closest texels of two clusters, in the smallest slot; at most 64 is looked for.
+    pub gutter_texels: Option<f64>,
+    /// Fraction of the 3D area whose texels were not copied verbatim.
+    pub resampled_area: Option<f64>,
+    /// Pixels of all slots.
+    pub texture_pixels: Option<u64>,
+    /// Bytes of all slots' files.
+    pub texture_bytes: Option<u64>,
+    /// Bytes of all slots as uncompressed RGBA, 8 bits, with mip levels.
+    pub gpu_bytes: Option<u64>,
+    /// Mean squared difference between the surface signal and its reconstruction.
+    pub signal_error: Option<f64>,
+    /// Why a figure is null, by its name.
+    pub undefined: BTreeMap<String, String>,
+    /// The sums that the figures are made of, for [`roll_up`].
+    #[serde(skip)]
+    pub(crate) totals: Totals,
+}
+
+/// Sums over one or several atlases, from which all figures follow.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Totals {
+    pub atlases: usize,
+    pub triangles: u64,
+    pub charts: u64,
+    pub flipped: u64,
+    pub degenerate: u64,
+    pub coverage: Coverage,
+    /// Area of the bounding boxes of the pages' charts.
+    pub box_area: f64,
+    /// Texels of the sheets; centres covered, where they could be counted.
+    pub texels: u64,
+    pub texels_covered: Option<u64>,
+    pub uv_border: f64,
+    /// Longest side of the input's bounding box.
+    pub input_side: f64,
+    pub seam: f64,
+    pub surface_area: f64,
+    pub bounds: Option<(DVec3, DVec3)>,
+    pub uv_area: f64,
+    pub uv_vertices: u64,
+    pub vertices: u64,
+    pub isometry: Strain,
+    pub from_input: Strain,
+    /// 3D area by chart.
+    pub chart_areas: Vec<f64>,
+    pub density: TexelDensity,
+    pub gutter: Option<u32>,
+    /// 3D area resampled, where textures were baked.
+    pub resampled: Option<f64>,
+    pub slots: usize,
+    pub pixels: u64,
+    pub bytes: u64,
+    pub gpu: u64,
+    /// Signal error times surface area.
+    pub signal: Option<f64>,
+}
+
+/// The measures of an atlas. Indices must be in range and `frame.clusters` must belong to the charts of `atlas`.
+pub fn measure(atlas: &Atlas, frame: &Frame<'_>) -> Measures {
+    let topology = Topology::new(atlas);
+    let own_charts = Charts::new(&topology);
+    let mut totals = Totals { atlases: 1, triangles: atlas.face_count() as u64, ..Totals::default() };
+    charts::add(&mut totals, atlas, &own_charts);
+    coverage::add(&mut totals, atlas, &own_charts, frame.clusters);
+    boundary::add(&mut totals, atlas, &topology, frame.input.unwrap_or(atlas));
+    totals.isometry = distortion::from_surface(atlas);
+    totals.from_input = distortion::from_input(atlas, frame.input.unwrap_or(atlas));
+    totals.density = density::of(atlas);
+    totals.gutter = gutter::of(atlas, &own_charts, frame.clusters, frame.slots);
+    totals.resampled = frame.resampled_area.map(|f| f * totals.surface_area);
+    totals.signal = frame.signal_error.map(|e| e * totals.surface_area);
+    totals.slots = frame.slots.len();
+    for slot in frame.slots {
+        totals.pixels += u64::from(slot.width) * u64::from(slot.height);
+        totals.bytes += slot.bytes;
+        totals.gpu += gpu_bytes(slot.width, slot.height);
+    }
+    Measures::from_totals(totals)
+}
+
+/// The measures of a model: counts and lengths are summed before they are divided, so that every ratio is the one of all
+/// atlases together; density is the extremes', the gutter the narrowest.
+pub fn roll_up(parts: &[Measures]) -> Measures {
+    let mut all = Totals { texels_covered: Some(0), resampled: Some(0.0), signal: Some(0.0), ..Totals::default() };
+    for part in parts.iter().map(|p| &p.totals) {
+        all.add(part);
+    }
+    Measures::from_totals(all)
+}
+
+impl Totals {
+    fn add(&mut self, other: &Totals) {
+        self.atlases += other.atlases;
+        self.triangles += other.triangles;
+        self.charts += other.charts;
+        self.flipped += other.flipped;
+        self.degenerate += other.degenerate;
+        self.coverage.add(other.coverage, 1.0);
+        self.box_area += other.box_area;
+        self.texels += other.texels;
+        self.texels_covered = self.texels_covered.zip(other.texels_covered).map(|(a, b)| a + b);
+        self.uv_border += other.uv_border;
+        self.input_side += other.input_side;
+        self.seam += other.seam;
+        self.surface_area += other.surface_area;
+        self.bounds = match (self.bounds, other.bounds) {
+            (Some(a), Some(b)) => Some((a.0.min(b.0), a.1.max(b.1))),
+            (a, b) => a.or(b),
+        };
+        self.uv_area += other.uv_area;
+        self.uv_vertices += other.uv_vertices;
+        self.vertices += other.vertices;
+        self.isometry.add(&other.isometry);
+        self.from_input.add(&other.from_input);
+        self.chart_areas.extend(&other.chart_areas);
+        self.density = if self.atlases == 1 { other.density } else { self.density.with(other.density) };
+        self.gutter = match (self.gutter, other.gutter) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        };
+        self.resampled = self.resampled.zip(other.resampled).map(|(a, b)| a + b);
+        self.slots += other.slots;
+        self.pixels += other.pixels;
+        self.bytes += other.bytes;
+        self.gpu += other.gpu;
+        self.signal = self.signal.zip(other.signal).map(|(a, b)| a + b);
+    }
+}
+
+impl Measures {
+    fn from_totals(t: Totals) -> Self {
+        let mut undefined = BTreeMap::new();
+        let mut reason = |name: &str, why: &str| {
+            undefined.insert(name.to_owned(), why.to_owned());
+        };
+        let mut ratio = |name: &str, a: f64, b: f64, why: &str| {
+            let value = a / b;
+            if b > 0.0 && value.is_finite() {
+                return Some(value);
+            }
+            reason(name, why);
+            None
+        };
+        let (no_box, no_surface) = ("the charts' bounding box has no area", "the surface has no area");
+        let (no_uv_area, no_border) = ("the charts have no area", "the charts have no border");
+        let smallest = t.chart_areas.iter().copied().fold(f64::INFINITY, f64::min);
+        let diagonal = t.bounds.map_or(0.0, |b| (b.1 - b.0).length());
+        let mut m = Measures {
+            triangles: t.triangles,
+            charts: t.charts,
+            flipped_triangles: t.flipped,
+            degenerate_triangles: t.degenerate,
+            packing_efficiency: ratio("packing_efficiency", t.coverage.covered, t.box_area, no_box),
+            packing_efficiency_by_charts: ratio(
+                "packing_efficiency_by_charts",
+                t.coverage.by_charts,
+                t.box_area,
+                no_box,
+            ),
+            utilisation: t
+                .texels_covered
+                .and_then(|n| ratio("utilisation", n as f64, t.texels as f64, "there is no sheet")),
+            overlap_fraction: ratio("overlap_fraction", t.coverage.accidental, t.coverage.covered, no_uv_area),
+            stacked_fraction: ratio("stacked_fraction", t.coverage.stacked, t.coverage.covered, no_uv_area),
+            boundary_length: ratio("boundary_length", t.uv_border, t.input_side, no_box),
+            seam_length: ratio("seam_length", t.seam, (t.surface_area / std::f64::consts::PI).sqrt(), no_surface),
+            seam_length_diagonal: ratio("seam_length_diagonal", t.seam, diagonal, "the surface is a point"),
+            symmetric_dirichlet: t.isometry.energy(),
+            distortion_from_input: t.from_input.energy(),
+            solidity: ratio("solidity", 2.0 * (std::f64::consts::PI * t.uv_area).sqrt(), t.uv_border, no_border),
+            vertex_replication: ratio("vertex_replication", t.uv_vertices as f64, t.vertices as f64, "no vertices"),
+            smallest_chart: ratio("smallest_chart", smallest, t.surface_area, no_surface),
+            charts_under_3_percent: t.chart_areas.iter().filter(|a| **a < 0.03 * t.surface_area).count() as u64,
+            texel_density: t.density,
+            gutter_texels: t.gutter.map(f64::from),
+            resampled_area: t.resampled.and_then(|r| ratio("resampled_area", r, t.surface_area, no_surface)),
+            texture_pixels: (t.slots > 0).then_some(t.pixels),
+            texture_bytes: (t.slots > 0).then_some(t.bytes),
+            gpu_bytes: (t.slots > 0).then_some(t.gpu),
+            signal_error: t.signal.and_then(|s| ratio("signal_error", s, t.surface_area, no_surface)),
+            ..Measures::default()
+        };
+        let only_degenerate = "every triangle is degenerate";
+        let absent = [
+            ("utilisation", t.texels_covered.is_none(), "the triangles cover the sheet too often to count its texels"),
+            ("symmetric_dirichlet", m.symmetric_dirichlet.is_none(), only_degenerate),
+            ("distortion_from_input", m.distortion_from_input.is_none(), only_degenerate),
+            ("texel_density.min", m.texel_density.min.is_none(), only_degenerate),
+            ("texel_density.max", m.texel_density.max.is_none(), only_degenerate),
+            (
+                "texel_density.median",
+                m.texel_density.median.is_none(),
+                if t.atlases > 1 { "the median is defined for one atlas" } else { only_degenerate },
+            ),
+            ("gutter_texels", m.gutter_texels.is_none(), "there are not two clusters on one page"),
+            ("resampled_area", t.resampled.is_none(), "no texture was baked"),
+            ("texture_pixels", t.slots == 0, "there are no images"),
+            ("texture_bytes", t.slots == 0, "there are no images"),
+            ("gpu_bytes", t.slots == 0, "there are no images"),
+            ("signal_error", t.signal.is_none(), "it was not asked for"),
+        ];
+        for (name, missing, why) in absent {
+            if missing {
+                reason(name, why);
+            }
+        }
+        m.undefined = undefined;
+        m.totals = t;
+        m
+    }
+}
+
+/// Bytes of an image as 8-bit RGBA with all mip levels.
+fn gpu_bytes(mut width: u32, mut height: u32) -> u64 {
+    let mut bytes = 0;
+    loop {
+        bytes += 4 * u64::from(width) * u64::from(height);
+        if width <= 1 && height <= 1 {
+            return bytes;
+        }
+        (width, height) = ((width / 2).max(1), (height / 2).max(1));
+    }
+}
