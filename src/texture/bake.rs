@@ -125,7 +125,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             Alpha::Mask(cutoff) if alpha_channel(C).is_some() && cutoff > 0.0 && cutoff <= 1.0 => Some(cutoff as f32),
             _ => None,
         };
-        let sampler = Sampler { texels, size, wrap: job.slot.wrap, codec: &codec, premultiply };
+        let sampler = Sampler::<T, C> { texels, size, wrap: job.slot.wrap, codec: &codec, premultiply };
         let baker = Baker { job, sampler, maps, context, cutoff };
         let mut pages = Vec::new();
         let mut verbatim_texels = 0;

@@ -160,3 +160,6 @@ pub struct Header {
     /// Container.
     pub format: Format,
 }
+
+#[cfg(test)]
+mod tests;
