@@ -163,3 +163,5 @@ pub struct Header {
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod real;

@@ -11,8 +11,8 @@ use super::Wrap;
 
 /// Texels of the uploaded image by new texel, along the longer axis, from which the kernel is stretched.
 const MINIFIED: f64 = 1.2;
-/// Taps along one axis of a stretched kernel, at most; beyond, every so many texels are read.
-const TAPS: f64 = 48.0;
+/// Taps along one axis of a stretched kernel, at most; beyond, one texel is read of every so many.
+const TAPS: f64 = 64.0;
 
 /// Reads one uploaded image.
 pub(crate) struct Sampler<'a, T, const C: usize> {
@@ -165,7 +165,7 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
         let (mut low, mut high) = ([f32::INFINITY; C], [f32::NEG_INFINITY; C]);
         for y in first(from.y)..=first(to.y) {
             for x in first(from.x)..=first(to.x) {
-                let (x, y) = (x * step, y * step);
+                let (x, y) = if step > 1 { scattered(x, y, step) } else { (x, y) };
                 let k = (*inverse * (DVec2::new(x as f64 + 0.5, y as f64 + 0.5) - point)).abs().as_vec2();
                 let weight = four_point(k.x) * four_point(k.y);
                 if weight == 0.0 {
@@ -186,6 +186,14 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
         limit(&mut out, &low, &high);
         out
     }
+}
+
+/// One texel of a cell of `step` x `step`: no pattern of the image may fall in with the lattice.
+fn scattered(x: i64, y: i64, step: i64) -> (i64, i64) {
+    let mixed = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
+    let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let offset = |bits: u64| ((bits & 0xffff) as i64 * step) >> 16;
+    (x * step + offset(mixed >> 32), y * step + offset(mixed >> 48))
 }
 
 #[inline]
@@ -274,7 +282,7 @@ mod tests {
         let codec = Codec::<u16>::new(Space::Linear);
         let texels: Vec<u16> = (0..128 * 128).map(|i| if (i / 128 + i) % 2 == 0 { 0 } else { 65_535 }).collect();
         let s = sampler(&texels, &codec, 128);
-        for scale in [2.0, 5.3, 20.0] {
+        for scale in [2.0, 5.3, 20.0, 50.0] {
             let footprint = Footprint::new(DMat2::from_angle(0.3) * scale);
             let v = s.sample(DVec2::new(63.2, 64.9), &footprint)[0];
             assert!((v - 0.5).abs() < 0.05, "scale {scale}: {v}");

@@ -69,7 +69,7 @@ impl Charts {
     }
 }
 
-fn slot(role: Role, image: &Image) -> Slot {
+pub(super) fn slot(role: Role, image: &Image) -> Slot {
     let header = Header {
         width: image.width,
         height: image.height,
