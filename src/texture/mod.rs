@@ -2,6 +2,22 @@
 //!
 //! All images are kept at their native depth and channel count; one slot at a time is in memory.
 
+mod bake;
+mod codec;
+mod cover;
+mod decode;
+mod direction;
+mod encode;
+mod fidelity;
+mod fill;
+mod map;
+mod sample;
+
+pub use bake::{Bake, Baked, bake, page_size};
+pub use decode::{decode, header};
+pub use encode::encode;
+pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};
+
 use serde::{Deserialize, Serialize};
 
 /// What an image means, which decides how it is filtered.
@@ -144,3 +160,8 @@ pub struct Header {
     /// Container.
     pub format: Format,
 }
+
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod real;

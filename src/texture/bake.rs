@@ -1,0 +1,314 @@
+//! From the uploaded texture to the refined one, through provenance: whole texels are copied, the rest is resampled,
+//! what nobody owns is filled.
+
+use rayon::prelude::*;
+
+use super::codec::{Codec, Depth, Space, alpha_channel};
+use super::cover::{NOBODY, Page};
+use super::direction::{Turn, turn_vector};
+use super::fill::fill;
+use super::map::{Map, Maps};
+use super::sample::{Footprint, Sampler};
+use super::{Alpha, Image, Samples};
+use crate::asset::Slot;
+use crate::atlas::{Atlas, Charts, Topology};
+use crate::context::Context;
+use crate::error::{Code, Failure, Result};
+use glam::DVec2;
+
+/// Texels of a band, about: what one task works on between two looks at the context.
+const BAND_TEXELS: u32 = 1 << 18;
+/// Texels that one page of one slot may have.
+const PAGE_TEXELS: u64 = 1 << 30;
+/// Relative change of a mask's coverage from which its alpha is scaled.
+const COVERAGE_CHANGE: f64 = 0.01;
+
+/// What a texel of the page is.
+mod state {
+    pub(super) const FREE: u8 = 0;
+    pub(super) const COPIED: u8 = 1;
+    pub(super) const RING_RESAMPLED: u8 = 2;
+    pub(super) const RESAMPLED: u8 = 3;
+}
+
+/// One slot of a texture set to bake to a new layout.
+#[derive(Clone, Copy)]
+pub struct Bake<'a> {
+    /// The Atlas as uploaded: what provenance refers to.
+    pub before: &'a Atlas,
+    /// The refined Atlas.
+    pub after: &'a Atlas,
+    /// Size of the reference sheet in whose texels the UVs of `before` are measured.
+    pub reference: [u32; 2],
+    /// What the image means, its wrap modes, and which primitives read it.
+    pub slot: &'a Slot,
+    /// The decoded image of the slot.
+    pub source: &'a Image,
+    /// Width of the ring about each chart that is taken from the uploaded image, in texels of the slot. 8 keeps the first mip levels.
+    pub bleed: u32,
+}
+
+/// A baked slot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Baked {
+    /// One image for each sheet of the refined Atlas, with the channels and depth of the source.
+    pub pages: Vec<Image>,
+    /// Texels whose centre a face covers and that were copied unchanged.
+    pub verbatim_texels: u64,
+    /// 3D area of the faces that were resampled / 3D area of the faces that read the slot, in 0..=1.
+    pub resampled_area: f64,
+    /// By face of the refined Atlas: whether its texels were copied unchanged. False for faces that do not read the slot.
+    pub verbatim_face: Vec<bool>,
+}
+
+/// Size in texels of the slot's page for a sheet of `job.after`.
+pub fn page_size(job: &Bake<'_>, page: usize) -> [u32; 2] {
+    let sheet = job.after.sheets.get(page).copied().unwrap_or([1, 1]);
+    let side = |sheet: u32, slot: u32, reference: u32| {
+        let size = (f64::from(sheet) * f64::from(slot) / f64::from(reference.max(1))).round();
+        size.clamp(1.0, f64::from(u32::MAX)) as u32
+    };
+    let source = [job.source.width, job.source.height];
+    [side(sheet[0], source[0], job.reference[0]), side(sheet[1], source[1], job.reference[1])]
+}
+
+/// Bakes one slot. Each face whose new place differs from the uploaded one by whole texels, quarter turns and mirroring is copied
+/// unchanged, with the ring that bilinear filtering reads; other faces are resampled. The bytes do not depend on the number of threads.
+///
+/// Fails with `canceled`, with `too_large` for a page of more than 2^30 texels, with `internal` when the parts of the job do not
+/// belong together.
+pub fn bake(job: &Bake<'_>, context: &Context) -> Result<Baked> {
+    match (&job.source.samples, job.source.channels) {
+        (Samples::U8(s), 1) => Baker::<u8, 1>::run(job, s, context),
+        (Samples::U8(s), 2) => Baker::<u8, 2>::run(job, s, context),
+        (Samples::U8(s), 3) => Baker::<u8, 3>::run(job, s, context),
+        (Samples::U8(s), 4) => Baker::<u8, 4>::run(job, s, context),
+        (Samples::U16(s), 1) => Baker::<u16, 1>::run(job, s, context),
+        (Samples::U16(s), 2) => Baker::<u16, 2>::run(job, s, context),
+        (Samples::U16(s), 3) => Baker::<u16, 3>::run(job, s, context),
+        (Samples::U16(s), 4) => Baker::<u16, 4>::run(job, s, context),
+        (_, n) => Err(Failure::internal(format!("an image cannot have {n} channels"))),
+    }
+}
+
+struct Baker<'a, T, const C: usize> {
+    job: &'a Bake<'a>,
+    sampler: Sampler<'a, T, C>,
+    maps: Maps,
+    context: &'a Context,
+    /// Cutoff of a mask whose coverage is kept.
+    cutoff: Option<f32>,
+}
+
+/// What is counted while a band is baked.
+struct Counts {
+    copied: u64,
+    /// Resampled and covered texels by alpha, in 1/255.
+    alphas: [u64; 256],
+    /// Quarters of those texels that the uploaded mask shows.
+    shown: u64,
+}
+
+impl<T: Depth, const C: usize> Baker<'_, T, C> {
+    fn run(job: &Bake<'_>, texels: &[T], context: &Context) -> Result<Baked> {
+        let source = job.source;
+        let count = u64::from(source.width) * u64::from(source.height) * C as u64;
+        if count == 0 || texels.len() as u64 != count {
+            return Err(Failure::internal("an image to bake does not hold the samples that it declares"));
+        }
+        let topology = Topology::new(job.after);
+        let maps = Maps::new(job, &Charts::new(&topology))?;
+        let codec = Codec::new(Space::of(job.slot.role, source.channels));
+        let size = [i64::from(source.width), i64::from(source.height)];
+        let premultiply = job.slot.alpha == Alpha::Blend;
+        let cutoff = match job.slot.alpha {
+            Alpha::Mask(cutoff) if alpha_channel(C).is_some() && cutoff > 0.0 && cutoff <= 1.0 => Some(cutoff as f32),
+            _ => None,
+        };
+        let sampler = Sampler::<T, C> { texels, size, wrap: job.slot.wrap, codec: &codec, premultiply };
+        let baker = Baker { job, sampler, maps, context, cutoff };
+        let mut pages = Vec::new();
+        let mut verbatim_texels = 0;
+        for page in 0..job.after.sheets.len() {
+            let (image, copied) = baker.page(page, &topology)?;
+            pages.push(image);
+            verbatim_texels += copied;
+        }
+        let verbatim_face: Vec<bool> =
+            (0..job.after.face_count()).map(|f| matches!(baker.maps.get(f), Some(Map::Exact { .. }))).collect();
+        let (mut all, mut resampled) = (0.0, 0.0);
+        for face in job.after.faces().filter(|f| baker.maps.get(f.index()).is_some()) {
+            let area = job.after.area(face);
+            all += area;
+            resampled += if verbatim_face[face.index()] { 0.0 } else { area };
+        }
+        let resampled_area = if all > 0.0 { resampled / all } else { 0.0 };
+        Ok(Baked { pages, verbatim_texels, resampled_area, verbatim_face })
+    }
+
+    fn page(&self, index: usize, topology: &Topology) -> Result<(Image, u64)> {
+        let [w, h] = page_size(self.job, index);
+        if u64::from(w) * u64::from(h) > PAGE_TEXELS {
+            let message = format!("a refined texture of {w} x {h} texels is beyond what can be baked");
+            return Err(Failure::new(Code::TooLarge, message));
+        }
+        let (width, height) = (w as usize, h as usize);
+        let page = u16::try_from(index).map_err(|_| Failure::internal("there are too many sheets"))?;
+        let page = Page::new(self.job.after, topology, &self.maps, page, [w, h], self.job.bleed);
+        let rows = (BAND_TEXELS / w).clamp(16, 256);
+        let band = width * rows as usize;
+        let mut texels = vec![T::default(); width * height * C];
+        let mut states = vec![state::FREE; width * height];
+        let bands = texels.par_chunks_mut(band * C).zip(states.par_chunks_mut(band)).enumerate();
+        let counts: Vec<Result<Counts>> =
+            bands.map(|(i, (out, states))| self.band(&page, i as u32 * rows, rows, width, out, states)).collect();
+        let mut copied = 0;
+        let mut alphas = [0; 256];
+        let mut shown = 0;
+        for band in counts {
+            let band = band?;
+            copied += band.copied;
+            shown += band.shown;
+            alphas.iter_mut().zip(band.alphas).for_each(|(sum, n)| *sum += n);
+        }
+        if let (Some(cutoff), Some(channel)) = (self.cutoff, alpha_channel(C))
+            && let Some(scale) = coverage_scale(&alphas, shown as f64 / 4.0, cutoff)
+        {
+            texels.par_chunks_exact_mut(C).zip(states.par_iter()).for_each(|(texel, state)| {
+                if matches!(*state, state::RESAMPLED | state::RING_RESAMPLED) {
+                    let alpha = texel[channel].value() as f32 * scale;
+                    texel[channel] = T::from_value((alpha + 0.5).min(T::MAX as f32) as u32);
+                }
+            });
+        }
+        fill::<T, C>(&mut texels, &states, width, self.sampler.codec, self.context)?;
+        let image = Image { width: w, height: h, channels: C as u8, samples: T::samples(texels) };
+        Ok((image, copied))
+    }
+
+    fn band(
+        &self,
+        page: &Page,
+        top: u32,
+        rows: u32,
+        width: usize,
+        out: &mut [T],
+        states: &mut [u8],
+    ) -> Result<Counts> {
+        let band = page.band(top, rows, self.context, &self.maps)?;
+        let mut counts = Counts { copied: 0, alphas: [0; 256], shown: 0 };
+        for (row, owners) in band.owner.chunks_exact(width).enumerate() {
+            self.context.check()?;
+            let y = i64::from(top) + row as i64;
+            let mut x = 0;
+            // Runs of texels with one map.
+            while x < width {
+                let map_of = |x: usize| match owners[x] {
+                    NOBODY => Maps::NONE,
+                    face => self.maps.of_face[face as usize],
+                };
+                let start = x;
+                let map = map_of(x);
+                while x < width && map_of(x) == map {
+                    x += 1;
+                }
+                let Some(map) = self.maps.all.get(map as usize) else { continue };
+                let run = row * width + start..row * width + x;
+                let texels = &mut out[run.start * C..run.end * C];
+                let (states, distance) = (&mut states[run.clone()], &band.distance[run]);
+                let at = [start as i64, y];
+                match map {
+                    Map::Exact { turn, shift } => {
+                        self.copy(*turn, *shift, at, texels);
+                        states.fill(state::COPIED);
+                        counts.copied += distance.iter().filter(|d| **d == 0.0).count() as u64;
+                    }
+                    Map::Affine { .. } => self.resample(map, at, texels, states, distance, &mut counts),
+                }
+            }
+        }
+        Ok(counts)
+    }
+
+    /// Copies a run of texels from `at` on.
+    fn copy(&self, turn: Turn, shift: [i64; 2], at: [i64; 2], out: &mut [T]) {
+        let (sampler, count) = (&self.sampler, (out.len() / C) as i64);
+        let axis = |k: usize| {
+            let (a, b) = (i64::from(turn.x[k]), i64::from(turn.y[k]));
+            // A centre at i + 1/2 that is mirrored about an integer lies one texel lower.
+            a * at[0] + b * at[1] + shift[k] - i64::from(a + b < 0)
+        };
+        let (x, y) = (axis(0), axis(1));
+        let (dx, dy) = (i64::from(turn.x[0]), i64::from(turn.x[1]));
+        let [w, h] = sampler.size;
+        let (last_x, last_y) = (x + dx * (count - 1), y + dy * (count - 1));
+        let inside = [x, last_x].iter().all(|v| (0..w).contains(v)) && [y, last_y].iter().all(|v| (0..h).contains(v));
+        if inside && dx == 1 {
+            let start = sampler.index(x, y);
+            out.copy_from_slice(&sampler.texels[start..start + out.len()]);
+        } else {
+            let mut place = [x, y];
+            for texel in out.chunks_exact_mut(C) {
+                let from = sampler.index(place[0], place[1]);
+                texel.copy_from_slice(&sampler.texels[from..from + C]);
+                place = [place[0] + dx, place[1] + dy];
+            }
+        }
+        if sampler.codec.space == Space::Direction && !turn.is_identity() {
+            out.chunks_exact_mut(C).for_each(|texel| turn.turn_samples(texel));
+        }
+    }
+
+    fn resample(
+        &self,
+        map: &Map,
+        at: [i64; 2],
+        out: &mut [T],
+        states: &mut [u8],
+        distance: &[f32],
+        counts: &mut Counts,
+    ) {
+        let Map::Affine { linear, rotation, .. } = map else { return };
+        let footprint = Footprint::new(*linear);
+        let turn = rotation.to_cols_array().map(|v| v as f32);
+        let turns = self.sampler.codec.space == Space::Direction;
+        for (i, (texel, state)) in out.chunks_exact_mut(C).zip(states).enumerate() {
+            let centre = DVec2::new((at[0] + i as i64) as f64 + 0.5, at[1] as f64 + 0.5);
+            let mut value = self.sampler.sample(map.apply(centre), &footprint);
+            if turns {
+                turn_vector(turn, &mut value);
+            }
+            self.sampler.codec.encode(value, texel);
+            let covered = distance[i] == 0.0;
+            *state = if covered { state::RESAMPLED } else { state::RING_RESAMPLED };
+            if let (true, Some(cutoff), Some(a)) = (covered, self.cutoff, alpha_channel(C)) {
+                counts.alphas[(value[a].clamp(0.0, 1.0) * 255.0 + 0.5) as usize] += 1;
+                for (dx, dy) in [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)] {
+                    let shown = self.sampler.bilinear(map.apply(centre + DVec2::new(dx, dy)))[a] >= cutoff;
+                    counts.shown += u64::from(shown);
+                }
+            }
+        }
+    }
+}
+
+/// The factor on alpha that brings the coverage of a mask (texels at or above the cutoff) back to `target`; none when it
+/// is close already.
+fn coverage_scale(alphas: &[u64; 256], target: f64, cutoff: f32) -> Option<f32> {
+    let bin = (cutoff * 255.0).ceil() as usize;
+    let now: u64 = alphas.iter().skip(bin).sum();
+    if (now as f64 - target).abs() <= COVERAGE_CHANGE * target || target <= 0.0 {
+        return None;
+    }
+    // The threshold on the alphas as they are that shows nearest to the target.
+    let mut above = 0;
+    let mut best = (f64::INFINITY, bin);
+    for level in (1..256).rev() {
+        above += alphas[level];
+        let off = (above as f64 - target).abs();
+        if off < best.0 {
+            best = (off, level);
+        }
+    }
+    (best.1 != bin).then(|| cutoff * 255.0 / (best.1 as f32 - 0.5))
+}

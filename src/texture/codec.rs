@@ -1,0 +1,223 @@
+//! Between the samples of a file and the numbers that filters work on.
+
+use super::{Role, Samples};
+
+/// A sample's type: 8 or 16 bits.
+pub(crate) trait Depth: Copy + Default + Eq + Send + Sync + 'static {
+    /// The largest value.
+    const MAX: u32;
+    /// As a number in `0..=MAX`.
+    fn value(self) -> u32;
+    /// From a number in `0..=MAX`.
+    fn from_value(value: u32) -> Self;
+    /// As an image holds them.
+    fn samples(all: Vec<Self>) -> Samples;
+}
+
+impl Depth for u8 {
+    const MAX: u32 = 255;
+    fn value(self) -> u32 {
+        u32::from(self)
+    }
+    fn from_value(value: u32) -> Self {
+        value as u8
+    }
+    fn samples(all: Vec<Self>) -> Samples {
+        Samples::U8(all)
+    }
+}
+
+impl Depth for u16 {
+    const MAX: u32 = 65_535;
+    fn value(self) -> u32 {
+        u32::from(self)
+    }
+    fn from_value(value: u32) -> Self {
+        value as u16
+    }
+    fn samples(all: Vec<Self>) -> Samples {
+        Samples::U16(all)
+    }
+}
+
+/// What the colour channels hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Space {
+    /// sRGB-encoded light; filtered as linear light.
+    Srgb,
+    /// Plain numbers in 0..=1.
+    Linear,
+    /// Unit vectors, `value * 2 - 1` (glTF 2.0, 3.9.3).
+    Direction,
+}
+
+impl Space {
+    /// The space of a slot's colour channels. Directions need three of them.
+    pub(crate) fn of(role: Role, channels: u8) -> Self {
+        if role.is_direction() && channels >= 3 {
+            Space::Direction
+        } else if role.is_srgb() {
+            Space::Srgb
+        } else {
+            Space::Linear
+        }
+    }
+}
+
+/// Channel of alpha among `channels`.
+pub(crate) const fn alpha_channel(channels: usize) -> Option<usize> {
+    match channels {
+        2 => Some(1),
+        4 => Some(3),
+        _ => None,
+    }
+}
+
+/// Light from an sRGB-encoded value, both in 0..=1 (IEC 61966-2-1).
+pub(crate) fn srgb_to_linear(value: f64) -> f64 {
+    if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
+
+/// The inverse of [`srgb_to_linear`].
+pub(crate) fn linear_to_srgb(value: f64) -> f64 {
+    if value <= 0.003_130_8 { value * 12.92 } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// Buckets of the table that finds an 8-bit sRGB code; the darkest codes are more than one bucket apart.
+const BUCKETS: usize = 8192;
+
+/// Decodes and encodes the samples of one slot.
+pub(crate) struct Codec<T> {
+    /// What the colour channels hold.
+    pub(crate) space: Space,
+    colour: Vec<f32>,
+    alpha: Vec<f32>,
+    /// 8-bit sRGB only: the code at the lower end of each bucket of light.
+    codes: Vec<u8>,
+    /// 8-bit sRGB only: the light from which the next code is nearer.
+    limits: Vec<f32>,
+    depth: std::marker::PhantomData<T>,
+}
+
+impl<T: Depth> Codec<T> {
+    /// Tables for a space.
+    pub(crate) fn new(space: Space) -> Self {
+        let unit = |v: u32| f64::from(v) / f64::from(T::MAX);
+        let alpha: Vec<f32> = (0..=T::MAX).map(|v| unit(v) as f32).collect();
+        let colour = match space {
+            Space::Srgb => (0..=T::MAX).map(|v| srgb_to_linear(unit(v)) as f32).collect(),
+            Space::Linear => alpha.clone(),
+            Space::Direction => (0..=T::MAX).map(|v| (unit(v) * 2.0 - 1.0) as f32).collect(),
+        };
+        let mut codes = Vec::new();
+        let mut limits = Vec::new();
+        if space == Space::Srgb && T::MAX == 255 {
+            limits = (0..255).map(|v| srgb_to_linear((f64::from(v) + 0.5) / 255.0) as f32).collect();
+            let mut code = 0;
+            for bucket in 0..=BUCKETS {
+                let light = bucket as f32 / BUCKETS as f32;
+                while limits.get(code).is_some_and(|limit| light >= *limit) {
+                    code += 1;
+                }
+                codes.push(code as u8);
+            }
+        }
+        Codec { space, colour, alpha, codes, limits, depth: std::marker::PhantomData }
+    }
+
+    /// The numbers of one texel of `C` samples.
+    #[inline]
+    pub(crate) fn decode<const C: usize>(&self, texel: &[T]) -> [f32; C] {
+        let mut out = [0.0; C];
+        for (c, (o, t)) in out.iter_mut().zip(texel).enumerate() {
+            let table = if alpha_channel(C) == Some(c) { &self.alpha } else { &self.colour };
+            *o = table[t.value() as usize];
+        }
+        out
+    }
+
+    /// The samples nearest to the numbers of one texel. Directions are made unit vectors first.
+    #[inline]
+    pub(crate) fn encode<const C: usize>(&self, mut texel: [f32; C], out: &mut [T]) {
+        if self.space == Space::Direction && C >= 3 {
+            let length = (texel[0] * texel[0] + texel[1] * texel[1] + texel[2] * texel[2]).sqrt();
+            // Opposite directions cancel out: the flat normal stands for "none".
+            let flat = length < 1e-6;
+            for (c, t) in texel.iter_mut().enumerate().take(3) {
+                let unit = if flat { f32::from(u8::from(c == 2)) } else { *t / length };
+                *t = unit * 0.5 + 0.5;
+            }
+        }
+        for (c, (o, t)) in out.iter_mut().zip(texel).enumerate() {
+            *o = if self.space == Space::Srgb && alpha_channel(C) != Some(c) {
+                self.encode_light(t)
+            } else {
+                quantise(t)
+            };
+        }
+    }
+
+    #[inline]
+    fn encode_light(&self, light: f32) -> T {
+        // NaN cannot come from finite samples; it would become 0.
+        let light = light.clamp(0.0, 1.0);
+        if self.codes.is_empty() {
+            return quantise(linear_to_srgb(f64::from(light)) as f32);
+        }
+        let mut code = usize::from(self.codes[(light * BUCKETS as f32) as usize]);
+        while self.limits.get(code).is_some_and(|limit| light >= *limit) {
+            code += 1;
+        }
+        T::from_value(code as u32)
+    }
+}
+
+#[inline]
+fn quantise<T: Depth>(value: f32) -> T {
+    T::from_value((value.clamp(0.0, 1.0) * T::MAX as f32 + 0.5) as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn round_trip<T: Depth + std::fmt::Debug>(space: Space) {
+        let codec = Codec::<T>::new(space);
+        for v in 0..=T::MAX {
+            let texel = [T::from_value(v), T::from_value(T::MAX - v)];
+            let mut out = [T::default(); 2];
+            codec.encode::<2>(codec.decode::<2>(&texel), &mut out);
+            assert_eq!(out, texel, "{space:?}");
+        }
+    }
+
+    #[test]
+    fn every_sample_survives_decoding_and_encoding() {
+        for space in [Space::Srgb, Space::Linear] {
+            round_trip::<u8>(space);
+            round_trip::<u16>(space);
+        }
+    }
+
+    #[test]
+    fn light_becomes_the_nearest_code() {
+        let codec = Codec::<u8>::new(Space::Srgb);
+        for i in 0..=100_000 {
+            let light = f64::from(i) / 100_000.0;
+            let mut out = [0u8];
+            codec.encode::<1>([light as f32], &mut out);
+            let exact = linear_to_srgb(light) * 255.0;
+            assert!((f64::from(out[0]) - exact).abs() < 0.501, "{light}: {} for {exact}", out[0]);
+        }
+    }
+
+    #[test]
+    fn directions_are_encoded_as_unit_vectors() {
+        let codec = Codec::<u8>::new(Space::Direction);
+        let mut out = [0u8; 3];
+        codec.encode::<3>([0.0, 0.0, 0.2], &mut out);
+        assert_eq!(out, [128, 128, 255]);
+        codec.encode::<3>([0.0; 3], &mut out);
+        assert_eq!(out, [128, 128, 255]);
+    }
+}

@@ -1,0 +1,133 @@
+//! Image files out.
+
+use jpeg_encoder::SamplingFactor;
+
+use super::{Format, Image, Samples};
+use crate::error::{Failure, Result};
+
+/// JPEG quality from which chroma keeps its full resolution.
+const FULL_CHROMA: u8 = 90;
+
+/// Encodes an image with its own channels; PNG keeps the depth, JPEG (quality 1..=100) has 8 bits.
+///
+/// Fails with `internal` when the image is inconsistent, has alpha for JPEG, or is too large for the format.
+pub fn encode(image: &Image, format: Format, jpeg_quality: u8) -> Result<Vec<u8>> {
+    let samples = match &image.samples {
+        Samples::U8(s) => s.len(),
+        Samples::U16(s) => s.len(),
+    };
+    let expected = u64::from(image.width) * u64::from(image.height) * u64::from(image.channels);
+    if image.width == 0 || image.height == 0 || samples as u64 != expected {
+        return Err(Failure::internal("an image to encode does not hold the samples that it declares"));
+    }
+    match format {
+        Format::Png => encode_png(image),
+        Format::Jpeg => encode_jpeg(image, jpeg_quality.clamp(1, 100)),
+    }
+}
+
+fn encode_png(image: &Image) -> Result<Vec<u8>> {
+    let failed = |e: png::EncodingError| Failure::internal(format!("a PNG cannot be written: {e}"));
+    let colour = match image.channels {
+        1 => png::ColorType::Grayscale,
+        2 => png::ColorType::GrayscaleAlpha,
+        3 => png::ColorType::Rgb,
+        4 => png::ColorType::Rgba,
+        n => return Err(Failure::internal(format!("a PNG cannot have {n} channels"))),
+    };
+    let mut file = Vec::new();
+    let mut encoder = png::Encoder::new(&mut file, image.width, image.height);
+    encoder.set_color(colour);
+    encoder.set_compression(png::Compression::Fast);
+    match &image.samples {
+        Samples::U8(samples) => {
+            encoder.set_depth(png::BitDepth::Eight);
+            encoder.write_header().and_then(|mut w| w.write_image_data(samples)).map_err(failed)?;
+        }
+        Samples::U16(samples) => {
+            encoder.set_depth(png::BitDepth::Sixteen);
+            let bytes: Vec<u8> = samples.iter().flat_map(|s| s.to_be_bytes()).collect();
+            encoder.write_header().and_then(|mut w| w.write_image_data(&bytes)).map_err(failed)?;
+        }
+    }
+    Ok(file)
+}
+
+fn encode_jpeg(image: &Image, quality: u8) -> Result<Vec<u8>> {
+    let failed = |e: &dyn std::fmt::Display| Failure::internal(format!("a JPEG cannot be written: {e}"));
+    let colour = match image.channels {
+        1 => jpeg_encoder::ColorType::Luma,
+        3 => jpeg_encoder::ColorType::Rgb,
+        _ => return Err(failed(&"it has no alpha")),
+    };
+    let side = |n: u32| u16::try_from(n).map_err(|e| failed(&e));
+    let (width, height) = (side(image.width)?, side(image.height)?);
+    let mut file = Vec::new();
+    let mut encoder = jpeg_encoder::Encoder::new(&mut file, quality);
+    encoder.set_sampling_factor(if quality >= FULL_CHROMA {
+        SamplingFactor::R_4_4_4
+    } else {
+        SamplingFactor::R_4_2_0
+    });
+    match &image.samples {
+        Samples::U8(samples) => encoder.encode(samples, width, height, colour).map_err(|e| failed(&e))?,
+        Samples::U16(samples) => {
+            let bytes: Vec<u8> = samples.iter().map(|s| ((u32::from(*s) * 255 + 32_767) / 65_535) as u8).collect();
+            encoder.encode(&bytes, width, height, colour).map_err(|e| failed(&e))?;
+        }
+    }
+    Ok(file)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::texture::{decode, header};
+
+    /// A smooth picture with some grain, different in every channel.
+    pub(crate) fn picture(width: u32, height: u32, channels: u8, deep: bool) -> Image {
+        let value = |i: u64| {
+            let (c, p) = (i % u64::from(channels), i / u64::from(channels));
+            let (x, y) = ((p % u64::from(width)) as f64, (p / u64::from(width)) as f64);
+            let grain = (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 60) as f64 / 400.0;
+            0.5 + 0.4 * ((x / 9.0 + c as f64).sin() * (y / 7.0 - c as f64).cos()) + grain
+        };
+        let n = u64::from(width) * u64::from(height) * u64::from(channels);
+        let samples = if deep {
+            Samples::U16((0..n).map(|i| (value(i) * 65_535.0) as u16).collect())
+        } else {
+            Samples::U8((0..n).map(|i| (value(i) * 255.0) as u8).collect())
+        };
+        Image { width, height, channels, samples }
+    }
+
+    #[test]
+    fn png_round_trips_at_every_depth_and_channel_count() {
+        for deep in [false, true] {
+            for channels in 1..=4 {
+                let image = picture(37, 21, channels, deep);
+                let file = encode(&image, Format::Png, 0).unwrap();
+                assert_eq!(decode(&file, 1 << 20).unwrap(), image);
+                let head = header(&file).unwrap();
+                assert_eq!((head.channels, head.depth), (channels, if deep { 16 } else { 8 }));
+            }
+        }
+    }
+
+    #[test]
+    fn jpeg_round_trips_closely_and_refuses_alpha() {
+        for channels in [1, 3] {
+            let image = picture(45, 31, channels, false);
+            let file = encode(&image, Format::Jpeg, 95).unwrap();
+            assert_eq!(header(&file).unwrap().channels, channels);
+            let (Samples::U8(a), Samples::U8(b)) = (decode(&file, 1 << 20).unwrap().samples, image.samples) else {
+                panic!("8 bits expected")
+            };
+            assert_eq!(a.len(), b.len());
+            let squares: f64 = a.iter().zip(&b).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum();
+            assert!(squares / (a.len() as f64) < 9.0, "{}", squares / a.len() as f64);
+        }
+        assert!(encode(&picture(8, 8, 4, false), Format::Jpeg, 95).is_err());
+        assert!(encode(&Image { width: 9, ..picture(8, 8, 3, false) }, Format::Png, 95).is_err());
+    }
+}

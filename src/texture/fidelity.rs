@@ -1,0 +1,336 @@
+//! What a bake cost: the surface's colour before against after, as a renderer's bilinear filter shows it.
+//!
+//! The points and both colours are computed from the Atlases and the images alone, not from how the bake was done.
+
+use glam::{DMat2, DVec2, DVec3};
+use rayon::prelude::*;
+
+use super::map::{Map, Maps};
+use super::{Bake, Baked, Image, Samples, Wrap};
+use crate::atlas::{Charts, Topology};
+use crate::context::Context;
+use crate::error::{Failure, Result};
+
+/// Points that the report's figures are computed at.
+pub const SAMPLES: u32 = 100_000;
+/// The best PSNR that is told, in decibels.
+const BEST: f64 = 120.0;
+/// Texels with less weight than this are not part of a footprint: a point may lie on either side of a lattice line.
+const WEIGHT: f64 = 1e-3;
+/// Points between two looks at the context.
+const CHUNK: u32 = 4096;
+
+/// Fidelity of one slot. Errors are absolute differences of encoded values, in 1/255.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fidelity {
+    /// Points on the surface; 0 when no face that reads the slot has an area.
+    pub samples: u32,
+    /// Peak signal-to-noise ratio over all channels in decibels, at most 120. Directions are turned back first.
+    pub psnr_db: f64,
+    /// Whether at all points the texels of the bilinear footprint are equal (directions: after the turn).
+    pub exact: bool,
+    /// Fraction of the points where they are, in 0..=1.
+    pub exact_fraction: f64,
+    /// Largest error at mip level 0.
+    pub max_error: f64,
+    /// Mean error at mip level 2.
+    pub mip2_mean_error: f64,
+    /// Largest error at mip level 2.
+    pub mip2_max_error: f64,
+    /// For directions, the median angle between before and after, in degrees.
+    pub angle_median_deg: Option<f64>,
+    /// For directions, the 95th percentile of that angle, in degrees.
+    pub angle_p95_deg: Option<f64>,
+}
+
+/// Compares a baked slot with its source at `samples` points, spread over the 3D area of the faces that read it (stratified, from
+/// `context.seed`). Fails with `canceled`, or with `internal` when the parts do not belong together.
+pub fn fidelity(job: &Bake<'_>, baked: &Baked, samples: u32, context: &Context) -> Result<Fidelity> {
+    if baked.pages.len() != job.after.sheets.len() {
+        return Err(Failure::internal("a baked slot does not have the pages of its atlas"));
+    }
+    let maps = Maps::new(job, &Charts::new(&Topology::new(job.after)))?;
+    let comparison = Comparison {
+        job,
+        pages: &baked.pages,
+        direction: job.slot.role.is_direction() && job.source.channels >= 3,
+        source_mip: Mip::new(job.source),
+        page_mips: baked.pages.iter().map(Mip::new).collect(),
+        maps: &maps,
+    };
+    let points = scatter(job, &maps, samples, context.seed);
+    let chunks: Vec<Result<Sums>> = points
+        .par_chunks(CHUNK as usize)
+        .map(|points| {
+            context.check()?;
+            let mut sums = Sums::default();
+            points.iter().for_each(|p| comparison.add(p, &mut sums));
+            Ok(sums)
+        })
+        .collect();
+    let mut all = Sums::default();
+    for chunk in chunks {
+        all.join(chunk?);
+    }
+    Ok(all.fidelity())
+}
+
+/// A point on the surface: a face and barycentric coordinates.
+struct Point {
+    face: u32,
+    weights: DVec3,
+}
+
+/// Points in the order of faces, one in each stratum of equal area.
+fn scatter(job: &Bake<'_>, maps: &Maps, samples: u32, seed: u64) -> Vec<Point> {
+    let faces: Vec<(u32, f64)> = job
+        .after
+        .faces()
+        .filter(|f| maps.get(f.index()).is_some())
+        .map(|f| (f.0, job.after.area(f)))
+        .filter(|(_, area)| area.is_finite() && *area > 0.0)
+        .collect();
+    let total: f64 = faces.iter().map(|f| f.1).sum();
+    let mut points = Vec::new();
+    let mut next = 0;
+    let mut reached = 0.0;
+    for k in 0..samples {
+        let random = |n: u64| unit(seed.wrapping_add((u64::from(k) * 3 + n).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+        let wanted = (f64::from(k) + random(0)) / f64::from(samples) * total;
+        while next + 1 < faces.len() && reached + faces[next].1 <= wanted {
+            reached += faces[next].1;
+            next += 1;
+        }
+        let Some((face, _)) = faces.get(next) else { break };
+        // Uniform on the triangle.
+        let (root, v) = (random(1).sqrt(), random(2));
+        points.push(Point { face: *face, weights: DVec3::new(1.0 - root, root * (1.0 - v), root * v) });
+    }
+    points
+}
+
+/// A number in 0..1 from a state (splitmix64).
+fn unit(state: u64) -> f64 {
+    let mut z = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// Something with up to four channels of encoded values in 0..=1.
+trait Texels {
+    fn size(&self) -> [i64; 2];
+    fn texel(&self, x: i64, y: i64) -> [f64; 4];
+
+    /// Bilinear interpolation at a point in 0..1 of the image.
+    fn bilinear(&self, uv: DVec2, wrap: [Wrap; 2]) -> [f64; 4] {
+        let size = self.size();
+        let p = uv * DVec2::new(size[0] as f64, size[1] as f64) - 0.5;
+        let base = p.floor();
+        let t = p - base;
+        let mut out = [0.0; 4];
+        for (dy, wy) in [(0, 1.0 - t.y), (1, t.y)] {
+            let y = wrap[1].texel(base.y as i64 + dy, size[1]);
+            for (dx, wx) in [(0, 1.0 - t.x), (1, t.x)] {
+                let value = self.texel(wrap[0].texel(base.x as i64 + dx, size[0]), y);
+                out.iter_mut().zip(value).for_each(|(o, v)| *o += wx * wy * v);
+            }
+        }
+        out
+    }
+}
+
+impl Texels for Image {
+    fn size(&self) -> [i64; 2] {
+        [i64::from(self.width), i64::from(self.height)]
+    }
+    fn texel(&self, x: i64, y: i64) -> [f64; 4] {
+        let channels = usize::from(self.channels);
+        let start = (y as usize * self.width as usize + x as usize) * channels;
+        let mut out = [0.0; 4];
+        for (c, o) in out.iter_mut().enumerate().take(channels) {
+            *o = match &self.samples {
+                Samples::U8(s) => f64::from(s[start + c]) / 255.0,
+                Samples::U16(s) => f64::from(s[start + c]) / 65_535.0,
+            };
+        }
+        out
+    }
+}
+
+/// Mip level 2: means of 4 x 4 encoded texels (of what an image smaller or not divisible by 4 has there).
+struct Mip {
+    size: [i64; 2],
+    texels: Vec<[f32; 4]>,
+}
+
+impl Mip {
+    fn new(image: &Image) -> Self {
+        let full = [image.width as usize, image.height as usize];
+        let size = full.map(|n| (n / 4).max(1));
+        let range = |i: usize, axis: usize| i * full[axis] / size[axis]..((i + 1) * full[axis]).div_ceil(size[axis]);
+        let texels = (0..size[0] * size[1])
+            .into_par_iter()
+            .with_min_len(1024)
+            .map(|i| {
+                let mut sum = [0.0; 4];
+                let mut count = 0.0;
+                for y in range(i / size[0], 1) {
+                    for x in range(i % size[0], 0) {
+                        let value = image.texel(x as i64, y as i64);
+                        sum.iter_mut().zip(value).for_each(|(s, v)| *s += v);
+                        count += 1.0;
+                    }
+                }
+                sum.map(|s| (s / count) as f32)
+            })
+            .collect();
+        Mip { size: size.map(|n| n as i64), texels }
+    }
+}
+
+impl Texels for Mip {
+    fn size(&self) -> [i64; 2] {
+        self.size
+    }
+    fn texel(&self, x: i64, y: i64) -> [f64; 4] {
+        self.texels[(y * self.size[0] + x) as usize].map(f64::from)
+    }
+}
+
+struct Comparison<'a> {
+    job: &'a Bake<'a>,
+    pages: &'a [Image],
+    direction: bool,
+    source_mip: Mip,
+    page_mips: Vec<Mip>,
+    maps: &'a Maps,
+}
+
+#[derive(Default)]
+struct Sums {
+    samples: u32,
+    squares: f64,
+    values: f64,
+    exact: u32,
+    max: f64,
+    mip_sum: f64,
+    mip_max: f64,
+    angles: Vec<f64>,
+}
+
+impl Comparison<'_> {
+    fn add(&self, point: &Point, sums: &mut Sums) {
+        let (job, f) = (self.job, point.face as usize);
+        let Some(map) = self.maps.get(f) else { return };
+        let w = point.weights;
+        let mix = |c: [DVec2; 3]| c[0] * w.x + c[1] * w.y + c[2] * w.z;
+        let origin = &job.after.provenance[f];
+        let b = origin.barycentric[0] * w.x + origin.barycentric[1] * w.y + origin.barycentric[2] * w.z;
+        let [p0, p1, p2] = job.before.uv_triangle(origin.source);
+        let reference = job.reference.map(|n| f64::from(n.max(1)));
+        let old_uv = (p0 * b.x + p1 * b.y + p2 * b.z) / DVec2::from(reference);
+        let page = usize::from(job.after.page[f]);
+        let sheet = job.after.sheets[page].map(|n| f64::from(n.max(1)));
+        let new_uv = mix(job.after.corners[f].map(|c| job.after.uv[c.index()])) / DVec2::from(sheet);
+        let clamp = [Wrap::ClampToEdge; 2];
+        let channels = usize::from(job.source.channels);
+
+        let old = self.turned(job.source.bilinear(old_uv, job.slot.wrap), map);
+        let new = self.pages[page].bilinear(new_uv, clamp);
+        let mip_old = self.turned(self.source_mip.bilinear(old_uv, job.slot.wrap), map);
+        let mip_new = self.page_mips[page].bilinear(new_uv, clamp);
+        let mut mip = 0.0f64;
+        for c in 0..channels {
+            let d = new[c] - old[c];
+            sums.squares += d * d;
+            sums.max = sums.max.max(d.abs() * 255.0);
+            mip = mip.max((mip_new[c] - mip_old[c]).abs() * 255.0);
+        }
+        sums.values += channels as f64;
+        sums.mip_sum += mip;
+        sums.mip_max = sums.mip_max.max(mip);
+        sums.samples += 1;
+        sums.exact += u32::from(self.is_exact(map, page, mix(self.maps.corners[f])));
+        if self.direction {
+            let vector = |v: [f64; 4]| DVec3::new(v[0], v[1], v[2]) * 2.0 - 1.0;
+            let (a, b) = (vector(old), vector(new));
+            sums.angles.push(a.cross(b).length().atan2(a.dot(b)).to_degrees());
+        }
+    }
+
+    /// An encoded value of the uploaded image as it stands on the new sheet: directions turn.
+    fn turned(&self, value: [f64; 4], map: &Map) -> [f64; 4] {
+        if !self.direction {
+            return value;
+        }
+        let r: DMat2 = map.rotation();
+        let image = DVec2::new(value[0] * 2.0 - 1.0, 1.0 - value[1] * 2.0);
+        let (x, y) = (r.x_axis.dot(image), -r.y_axis.dot(image));
+        [x * 0.5 + 0.5, y * 0.5 + 0.5, value[2], value[3]]
+    }
+
+    /// Whether the texels that bilinear filtering reads at a point of a page are the uploaded ones.
+    fn is_exact(&self, map: &Map, page: usize, point: DVec2) -> bool {
+        let (source, image) = (self.job.source, &self.pages[page]);
+        let base = (point - 0.5).floor();
+        let t = point - 0.5 - base;
+        let read = |t: f64| [(0, 1.0 - t), (1, t)].into_iter().filter(|(_, w)| *w > WEIGHT).map(|(d, _)| d);
+        let at = |image: &Image, p: DVec2, wrap: [Wrap; 2]| {
+            let [w, h] = image.size();
+            image.texel(wrap[0].texel(p.x.floor() as i64, w), wrap[1].texel(p.y.floor() as i64, h))
+        };
+        let texels = read(t.y).flat_map(|dy| read(t.x).map(move |dx| base + DVec2::new(dx as f64, dy as f64) + 0.5));
+        match map {
+            Map::Exact { .. } => texels.into_iter().all(|texel| {
+                let old = self.turned(at(source, map.apply(texel), self.job.slot.wrap), map);
+                let new = at(image, texel, [Wrap::ClampToEdge; 2]);
+                // Turning a number and turning its code differ by rounding of the double only.
+                old.iter().zip(new).all(|(a, b)| (a - b).abs() < 1e-9)
+            }),
+            // Resampled texels are equal only where nothing changes.
+            Map::Affine { .. } => {
+                let from = (map.apply(point) - 0.5).floor() + 0.5;
+                let old = at(source, from, self.job.slot.wrap);
+                let same = |v: [f64; 4]| self.turned(v, map).iter().zip(self.turned(old, map)).all(|(a, b)| *a == b);
+                let offsets = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
+                let flat =
+                    offsets.iter().all(|(x, y)| same(at(source, from + DVec2::new(*x, *y), self.job.slot.wrap)));
+                flat && texels
+                    .into_iter()
+                    .all(|p| at(image, p, [Wrap::ClampToEdge; 2]).iter().zip(self.turned(old, map)).all(|(a, b)| *a == b))
+            }
+        }
+    }
+}
+
+impl Sums {
+    fn join(&mut self, other: Sums) {
+        self.samples += other.samples;
+        self.squares += other.squares;
+        self.values += other.values;
+        self.exact += other.exact;
+        self.max = self.max.max(other.max);
+        self.mip_sum += other.mip_sum;
+        self.mip_max = self.mip_max.max(other.mip_max);
+        self.angles.extend(other.angles);
+    }
+
+    fn fidelity(mut self) -> Fidelity {
+        self.angles.sort_unstable_by(f64::total_cmp);
+        let rank = |q: f64| self.angles.get(((self.angles.len() as f64 * q) as usize).min(self.angles.len().saturating_sub(1)));
+        let samples = f64::from(self.samples.max(1));
+        let mean = self.squares / self.values.max(1.0);
+        Fidelity {
+            samples: self.samples,
+            psnr_db: if mean > 0.0 { (-10.0 * mean.log10()).min(BEST) } else { BEST },
+            exact: self.exact == self.samples,
+            exact_fraction: if self.samples == 0 { 1.0 } else { f64::from(self.exact) / samples },
+            max_error: self.max,
+            mip2_mean_error: self.mip_sum / samples,
+            mip2_max_error: self.mip_max,
+            angle_median_deg: rank(0.5).copied(),
+            angle_p95_deg: rank(0.95).copied(),
+        }
+    }
+}
