@@ -4,6 +4,18 @@
 //! OBJ is turned into one at the door, so that there is one way through the house. [`TextureSet`] is one
 //! Atlas with what is needed to bake its images and write it back.
 
+mod geometry;
+mod home;
+mod json;
+mod read;
+mod scan;
+mod sets;
+mod write;
+
+pub use read::read;
+pub use sets::{is_small, mark_uniform, small_slot_warning};
+pub use write::{BakedImage, Refined, read_back, write};
+
 use serde_json::Value;
 
 use crate::atlas::Atlas;
