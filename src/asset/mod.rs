@@ -4,6 +4,31 @@
 //! OBJ is turned into one at the door, so that there is one way through the house. [`TextureSet`] is one
 //! Atlas with what is needed to bake its images and write it back.
 
+mod accessor;
+mod accessor_type;
+mod append;
+mod archive;
+mod glb;
+mod limits;
+mod load;
+mod obj;
+mod prune;
+mod save;
+mod side_files;
+mod structure;
+mod upload;
+mod uri;
+
+pub use accessor::{
+    RawAccessor, Shape, accessor_count, accessor_shape, raw_elements, read_indices, read_vec, read_vec2, read_vec3,
+    read_vec4,
+};
+pub use accessor_type::{ComponentType, Kind};
+pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
+pub use limits::Limits;
+pub use load::load;
+pub use side_files::read_paths;
+
 mod geometry;
 mod home;
 mod json;

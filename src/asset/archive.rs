@@ -1,0 +1,129 @@
+//! Zip archives as input: bounded, whatever their headers declare.
+
+use std::borrow::Cow;
+use std::io::{Cursor, Read};
+
+use super::upload::Entry;
+use super::uri::{file_name, normalise, quote};
+use crate::error::{Code, Failure, Result};
+
+/// Most entries that an archive may have.
+const MAX_ENTRIES: usize = 10_000;
+
+/// Whether the bytes begin as a zip archive does.
+pub(crate) fn is_zip(bytes: &[u8]) -> bool {
+    bytes.starts_with(b"PK\x03\x04") || bytes.starts_with(b"PK\x05\x06")
+}
+
+/// Unpacks an archive. `left` is how many bytes may still be unpacked, and falls by what was.
+///
+/// # Errors
+/// `invalid_model` when the archive is damaged, encrypted or names paths outside itself; `too_large` beyond `left` bytes or
+/// 10,000 entries.
+pub(crate) fn unpack(path: &str, bytes: &[u8], left: &mut u64) -> Result<Vec<Entry<'static>>> {
+    let damaged = |what: String| Failure::model(format!("the archive {} cannot be read: {what}", quote(path)));
+    let too_many = |n: u64| {
+        let message = format!("the archive {} has {n} entries, more than {MAX_ENTRIES}", quote(path));
+        Failure::new(Code::TooLarge, message)
+    };
+    if let Some(declared) = declared_entries(bytes).filter(|n| *n > MAX_ENTRIES as u64) {
+        return Err(too_many(declared));
+    }
+    let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|e| damaged(e.to_string()))?;
+    if archive.len() > MAX_ENTRIES {
+        return Err(too_many(archive.len() as u64));
+    }
+    let mut entries = Vec::new();
+    for index in 0..archive.len() {
+        let mut file = archive.by_index(index).map_err(|e| damaged(e.to_string()))?;
+        let name = String::from_utf8_lossy(file.name_raw()).into_owned();
+        if file.is_dir() || name.ends_with('/') || is_litter(&name) {
+            continue;
+        }
+        let clean = normalise(&name).filter(|_| !name.starts_with(['/', '\\'])).ok_or_else(|| {
+            Failure::model(format!("the entry {} of the archive {} leaves its folder", quote(&name), quote(path)))
+        })?;
+        // The declared size is not believed: it may be a lie either way.
+        let mut bytes = Vec::new();
+        let cap = left.saturating_add(1);
+        Read::by_ref(&mut file)
+            .take(cap)
+            .read_to_end(&mut bytes)
+            .map_err(|e| damaged(format!("{}: {e}", quote(&name))))?;
+        *left = left.checked_sub(bytes.len() as u64).ok_or_else(|| {
+            Failure::new(
+                Code::TooLarge,
+                format!("the archive {} unpacks to more than the limit on the input", quote(path)),
+            )
+        })?;
+        entries.push(Entry { path: clean, bytes: Cow::Owned(bytes) });
+    }
+    Ok(entries)
+}
+
+/// What operating systems leave in archives.
+fn is_litter(name: &str) -> bool {
+    name.starts_with("__MACOSX/") || file_name(name).starts_with('.')
+}
+
+/// The number of entries that the end record, or its 64-bit twin, declares: read before the archive is, so that a
+/// directory of millions is not built first.
+fn declared_entries(bytes: &[u8]) -> Option<u64> {
+    let tail = bytes.len().saturating_sub(22 + 0xFFFF);
+    let end = bytes.get(tail..)?.windows(4).rposition(|w| w == b"PK\x05\x06")? + tail;
+    let short = u64::from(u16::from_le_bytes(*bytes.get(end + 10..)?.first_chunk()?));
+    let locator = end.checked_sub(20).and_then(|at| bytes.get(at..end)).filter(|l| l.starts_with(b"PK\x06\x07"));
+    let long = locator.and_then(|locator| {
+        let at = usize::try_from(u64::from_le_bytes(*locator.get(8..)?.first_chunk()?)).ok()?;
+        let record = bytes.get(at..)?.get(..40)?;
+        Some(u64::from_le_bytes(*record.get(32..)?.first_chunk()?))
+    });
+    Some(long.unwrap_or(short).max(short))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    fn archive(files: &[(&str, &[u8])]) -> Vec<u8> {
+        let mut writer = zip::ZipWriter::new(Cursor::new(Vec::new()));
+        for (name, bytes) in files {
+            writer.start_file(*name, zip::write::SimpleFileOptions::default()).unwrap();
+            writer.write_all(bytes).unwrap();
+        }
+        writer.finish().unwrap().into_inner()
+    }
+
+    #[test]
+    fn files_come_out_without_litter() {
+        let zip = archive(&[("a/b.txt", b"hello"), ("__MACOSX/a", b"x"), ("a/.DS_Store", b"x")]);
+        let mut left = 100;
+        let entries = unpack("a.zip", &zip, &mut left).unwrap();
+        assert_eq!(
+            (entries.len(), entries[0].path.as_str(), &*entries[0].bytes, left),
+            (1, "a/b.txt", &b"hello"[..], 95)
+        );
+    }
+
+    #[test]
+    fn bombs_and_climbers_are_refused() {
+        let zip = archive(&[("zeros", &vec![0; 1 << 20])]);
+        assert!(zip.len() < 10_000);
+        assert_eq!(unpack("a.zip", &zip, &mut 1000).unwrap_err().code, Code::TooLarge);
+        let zip = archive(&[("../x", b"x")]);
+        assert_eq!(unpack("a.zip", &zip, &mut 1000).unwrap_err().code, Code::InvalidModel);
+        let names: Vec<String> = (0..10_001).map(|i| i.to_string()).collect();
+        let files: Vec<(&str, &[u8])> = names.iter().map(|n| (n.as_str(), &b""[..])).collect();
+        assert_eq!(unpack("a.zip", &archive(&files), &mut 1000).unwrap_err().code, Code::TooLarge);
+    }
+
+    #[test]
+    fn truncations_do_not_panic() {
+        let zip = archive(&[("a.txt", b"hello hello hello")]);
+        for end in 0..zip.len() {
+            assert!(unpack("a.zip", &zip[..end], &mut 1000).is_err(), "{end}");
+        }
+    }
+}

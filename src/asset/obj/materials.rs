@@ -1,0 +1,177 @@
+//! OBJ materials as glTF materials, textures, samplers and images.
+
+use std::collections::BTreeMap;
+
+use percent_encoding::utf8_percent_encode;
+use serde_json::{Value, json};
+
+use super::mtl::{Map, Mtl};
+use crate::asset::Document;
+use crate::asset::upload::Upload;
+use crate::asset::uri::{self, quote};
+use crate::error::{Code, Failure, Result, Warning};
+
+/// Reads the libraries that an OBJ names; the first definition of a name counts.
+pub(crate) fn read_libraries(
+    names: &[String],
+    model_path: &str,
+    upload: &Upload<'_>,
+    warnings: &mut Vec<Warning>,
+) -> BTreeMap<String, (String, Mtl)> {
+    let mut found = BTreeMap::new();
+    for line in names {
+        // A name with blanks, or several names.
+        let whole = find(line, model_path, upload).map(|file| vec![(line.as_str(), Some(file))]);
+        let parts = whole
+            .unwrap_or_else(|| line.split_whitespace().map(|name| (name, find(name, model_path, upload))).collect());
+        for (name, file) in parts {
+            let Some(file) = file else {
+                let message = format!("the material library {} was not uploaded", quote(name));
+                warnings.push(Warning::new("missing_material_library", message));
+                continue;
+            };
+            for material in super::mtl::parse(&file.bytes) {
+                found.entry(material.name.clone()).or_insert_with(|| (file.path.clone(), material));
+            }
+        }
+    }
+    found
+}
+
+/// A file named from another one; absolute paths of somebody's disk are cut to the file name.
+fn find<'u, 'a>(name: &str, from: &str, upload: &'u Upload<'a>) -> Option<&'u crate::asset::upload::Entry<'a>> {
+    upload.find(&clean(name, from)?)
+}
+
+fn clean(name: &str, from: &str) -> Option<String> {
+    uri::join(from, name).or_else(|| uri::normalise(uri::file_name(name)))
+}
+
+/// Makes glTF materials in a document.
+pub(crate) struct Materials<'m> {
+    upload: &'m Upload<'m>,
+    model_path: &'m str,
+    /// Bytes that images may still take.
+    left: u64,
+    images: BTreeMap<String, usize>,
+    textures: BTreeMap<(usize, bool), usize>,
+}
+
+impl<'m> Materials<'m> {
+    /// For a model at `model_path` in `upload`.
+    pub(crate) fn new(upload: &'m Upload<'m>, model_path: &'m str, max_bytes: u64) -> Self {
+        Materials { upload, model_path, left: max_bytes, images: BTreeMap::new(), textures: BTreeMap::new() }
+    }
+
+    /// Appends a material; `library` is the path of its MTL file. Gives its index.
+    ///
+    /// # Errors
+    /// `too_large` when its images exceed the limit.
+    pub(crate) fn add(
+        &mut self,
+        doc: &mut Document,
+        library: &str,
+        mtl: &Mtl,
+        warnings: &mut Vec<Warning>,
+    ) -> Result<usize> {
+        let mut pbr =
+            json!({ "metallicFactor": mtl.metallic.unwrap_or(0.0), "roughnessFactor": mtl.roughness.unwrap_or(1.0) });
+        let mut material = json!({ "name": mtl.name });
+        let opacity = mtl.dissolve.unwrap_or(1.0);
+        // Scans write a grey Kd beside their map; the map alone is meant.
+        let [r, g, b] = match mtl.map_diffuse {
+            Some(_) => [1.0; 3],
+            None => mtl.diffuse.unwrap_or([1.0; 3]).map(|v| v.min(1.0)),
+        };
+        if [r, g, b, opacity] != [1.0; 4] {
+            pbr["baseColorFactor"] = json!([r, g, b, opacity]);
+        }
+        if let Some(map) = &mtl.map_diffuse {
+            pbr["baseColorTexture"] = json!({ "index": self.texture(doc, library, map, warnings)? });
+        }
+        let cutout = match (&mtl.map_dissolve, &mtl.map_diffuse) {
+            (Some(alpha), Some(color)) => alpha.file == color.file,
+            _ => false,
+        };
+        if cutout || opacity < 1.0 {
+            material["alphaMode"] = json!("BLEND");
+        }
+        material["pbrMetallicRoughness"] = pbr;
+        let glow = mtl.emissive.unwrap_or([0.0; 3]).map(|v| v.min(1.0));
+        if let Some(map) = &mtl.map_emissive {
+            material["emissiveTexture"] = json!({ "index": self.texture(doc, library, map, warnings)? });
+            material["emissiveFactor"] = json!(if glow == [0.0; 3] { [1.0; 3] } else { glow });
+        } else if glow != [0.0; 3] {
+            material["emissiveFactor"] = json!(glow);
+        }
+        if let Some(map) = &mtl.normal {
+            material["normalTexture"] = json!({ "index": self.texture(doc, library, map, warnings)? });
+        }
+        let index = doc.push("materials", material);
+        self.warn_of_dropped(mtl, cutout, index, warnings);
+        Ok(index)
+    }
+
+    fn warn_of_dropped(&self, mtl: &Mtl, cutout: bool, index: usize, warnings: &mut Vec<Warning>) {
+        let color = mtl.map_diffuse.as_ref().map(|m| m.file.as_str());
+        let alpha = mtl.map_dissolve.iter().filter(|_| !cutout).map(|m| ("map_d", m));
+        let others = mtl.others.iter().map(|(key, map)| (key.as_str(), map));
+        // The ambient map is a copy of the diffuse one by custom.
+        for (key, map) in alpha.chain(others).filter(|(key, map)| *key != "map_ka" || Some(map.file.as_str()) != color)
+        {
+            let message = format!("{key} {} has no counterpart in glTF and is dropped", quote(&map.file));
+            warnings.push(Warning::new("material_map_dropped", message).at(format!("/materials/{index}")));
+        }
+        let maps = [&mtl.map_diffuse, &mtl.map_emissive, &mtl.normal];
+        for map in maps.into_iter().flatten().filter(|m| m.adjusted) {
+            let message = format!("options that move or change the map {} are dropped", quote(&map.file));
+            warnings.push(Warning::new("map_option_dropped", message).at(format!("/materials/{index}")));
+        }
+    }
+
+    fn texture(&mut self, doc: &mut Document, library: &str, map: &Map, warnings: &mut Vec<Warning>) -> Result<usize> {
+        let image = self.image(doc, library, map, warnings)?;
+        if let Some(index) = self.textures.get(&(image, map.clamp)) {
+            return Ok(*index);
+        }
+        let wrap = if map.clamp { 33071 } else { 10497 };
+        let wanted = json!({ "magFilter": 9729, "minFilter": 9987, "wrapS": wrap, "wrapT": wrap });
+        let samplers = doc.json.get("samplers").and_then(Value::as_array);
+        let sampler = samplers.and_then(|all| all.iter().position(|s| *s == wanted));
+        let sampler = sampler.unwrap_or_else(|| doc.push("samplers", wanted));
+        let texture = doc.push("textures", json!({ "sampler": sampler, "source": image }));
+        self.textures.insert((image, map.clamp), texture);
+        Ok(texture)
+    }
+
+    fn image(&mut self, doc: &mut Document, library: &str, map: &Map, warnings: &mut Vec<Warning>) -> Result<usize> {
+        // Maps are named from the library's folder; some writers name them from the model's.
+        let from_model = || clean(&map.file, self.model_path).filter(|path| self.upload.find(path).is_some());
+        let path = clean(&map.file, library).filter(|path| self.upload.find(path).is_some()).or_else(from_model);
+        let file = path.as_deref().and_then(|path| self.upload.find(path));
+        let path = match file {
+            Some(file) => file.path.clone(),
+            None => clean(&map.file, library).unwrap_or_else(|| "image".to_owned()),
+        };
+        if let Some(index) = self.images.get(&path) {
+            return Ok(*index);
+        }
+        let folder = self.model_path.rfind('/').and_then(|end| self.model_path.get(..=end)).unwrap_or_default();
+        let relative = path.strip_prefix(folder).unwrap_or(&path);
+        let image =
+            json!({ "name": uri::stem(&path), "uri": utf8_percent_encode(relative, &uri::RESERVED).to_string() });
+        let index = doc.push("images", image);
+        if let Some(file) = file {
+            self.left = self.left.checked_sub(file.bytes.len() as u64).ok_or_else(|| {
+                Failure::new(Code::TooLarge, "the images together exceed the limit on the input")
+                    .at(format!("/images/{index}"))
+            })?;
+        } else {
+            let message = format!("the image file {} was not uploaded", quote(&map.file));
+            warnings.push(Warning::new("missing_image", message).at(format!("/images/{index}")));
+        }
+        doc.images.push(file.map(|f| f.bytes.to_vec()));
+        self.images.insert(path, index);
+        Ok(index)
+    }
+}

@@ -1,0 +1,157 @@
+//! Buffer views and accessors that nothing refers to any more: found and taken out.
+
+use serde_json::Value;
+
+use super::load::is_handled;
+
+/// Extensions that are not handled but are known to refer to neither accessors nor buffer views.
+const HARMLESS: [&str; 6] = [
+    "EXT_texture_avif",
+    "EXT_texture_webp",
+    "KHR_animation_pointer",
+    "KHR_node_visibility",
+    "KHR_texture_basisu",
+    "KHR_xmp_json_ld",
+];
+
+/// Whether every reference to an accessor or buffer view stands where [`each_accessor`] and [`each_view`] look: no
+/// extension is used, declared or not, that could hold others.
+pub(crate) fn is_understood(json: &Value) -> bool {
+    let known = |name: &str| is_handled(name) || HARMLESS.contains(&name);
+    let declared =
+        ["extensionsUsed", "extensionsRequired"].into_iter().filter_map(|k| json.get(k)?.as_array()).flatten();
+    if !declared.filter_map(Value::as_str).all(known) {
+        return false;
+    }
+    let mut stack = vec![json];
+    while let Some(value) = stack.pop() {
+        match value {
+            Value::Array(values) => stack.extend(values),
+            Value::Object(object) => {
+                let extensions = object.get("extensions").and_then(Value::as_object);
+                if extensions.is_some_and(|e| !e.keys().all(|name| known(name))) {
+                    return false;
+                }
+                stack.extend(object.iter().filter(|(key, _)| *key != "extras").map(|(_, value)| value));
+            }
+            _ => {}
+        }
+    }
+    true
+}
+
+/// Takes out accessors and buffer views that nothing refers to, and numbers the others anew. Gives which of the
+/// views stay; none, with the document untouched, when a reference is broken.
+pub(crate) fn prune(json: &mut Value) -> Option<Vec<bool>> {
+    let used_accessors = used(json, "accessors", each_accessor)?;
+    let mut pruned = json.clone();
+    retain(&mut pruned, "accessors", &used_accessors);
+    renumber(&mut pruned, &used_accessors, each_accessor);
+    let used_views = used(&mut pruned, "bufferViews", each_view)?;
+    retain(&mut pruned, "bufferViews", &used_views);
+    renumber(&mut pruned, &used_views, each_view);
+    *json = pruned;
+    Some(used_views)
+}
+
+type Each = fn(&mut Value, &mut dyn FnMut(&mut Value));
+
+fn used(json: &mut Value, key: &str, each: Each) -> Option<Vec<bool>> {
+    let count = json.get(key).and_then(Value::as_array).map_or(0, Vec::len);
+    let mut used = vec![false; count];
+    let mut broken = false;
+    each(json, &mut |index| {
+        let slot = index.as_u64().and_then(|i| used.get_mut(usize::try_from(i).ok()?));
+        match slot {
+            Some(slot) => *slot = true,
+            None => broken = true,
+        }
+    });
+    (!broken).then_some(used)
+}
+
+fn retain(json: &mut Value, key: &str, used: &[bool]) {
+    let Some(array) = json.get_mut(key).and_then(Value::as_array_mut) else { return };
+    let mut keep = used.iter();
+    array.retain(|_| keep.next().copied().unwrap_or(true));
+    if array.is_empty()
+        && let Some(root) = json.as_object_mut()
+    {
+        root.shift_remove(key);
+    }
+}
+
+fn renumber(json: &mut Value, used: &[bool], each: Each) {
+    let mut next = 0;
+    let numbers: Vec<u64> = used
+        .iter()
+        .map(|used| {
+            let number = next;
+            next += u64::from(*used);
+            number
+        })
+        .collect();
+    each(json, &mut |index| {
+        let number = index.as_u64().and_then(|i| numbers.get(usize::try_from(i).ok()?));
+        // Equal values stay as they are written.
+        if let Some(number) = number.filter(|n| index.as_u64() != Some(**n)) {
+            *index = Value::from(*number);
+        }
+    });
+}
+
+/// Calls `f` with every reference to an accessor.
+fn each_accessor(json: &mut Value, f: &mut dyn FnMut(&mut Value)) {
+    for mesh in objects(json, "meshes") {
+        for primitive in objects(mesh, "primitives") {
+            fields(primitive.get_mut("attributes"), f);
+            field(primitive, "indices", f);
+            for target in objects(primitive, "targets") {
+                fields(Some(target), f);
+            }
+        }
+    }
+    for animation in objects(json, "animations") {
+        for sampler in objects(animation, "samplers") {
+            field(sampler, "input", f);
+            field(sampler, "output", f);
+        }
+    }
+    for skin in objects(json, "skins") {
+        field(skin, "inverseBindMatrices", f);
+    }
+    for node in objects(json, "nodes") {
+        fields(node.pointer_mut("/extensions/EXT_mesh_gpu_instancing/attributes"), f);
+    }
+}
+
+/// Calls `f` with every reference to a buffer view.
+fn each_view(json: &mut Value, f: &mut dyn FnMut(&mut Value)) {
+    for accessor in objects(json, "accessors") {
+        field(accessor, "bufferView", f);
+        for part in ["indices", "values"] {
+            if let Some(part) = accessor.get_mut("sparse").and_then(|s| s.get_mut(part)) {
+                field(part, "bufferView", f);
+            }
+        }
+    }
+    for image in objects(json, "images") {
+        field(image, "bufferView", f);
+    }
+}
+
+fn objects<'a>(value: &'a mut Value, key: &str) -> impl Iterator<Item = &'a mut Value> + use<'a> {
+    value.get_mut(key).and_then(Value::as_array_mut).into_iter().flatten()
+}
+
+fn field(value: &mut Value, key: &str, f: &mut dyn FnMut(&mut Value)) {
+    if let Some(found) = value.get_mut(key) {
+        f(found);
+    }
+}
+
+fn fields(value: Option<&mut Value>, f: &mut dyn FnMut(&mut Value)) {
+    for found in value.and_then(Value::as_object_mut).into_iter().flat_map(|o| o.values_mut()) {
+        f(found);
+    }
+}

@@ -1,0 +1,70 @@
+//! Reading a model from disk together with the files that it names beside it.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use super::File;
+use super::obj;
+use super::uri;
+use crate::error::{Code, Failure, Result};
+
+/// Reads files for [`super::load`]. For a `.gltf` or `.obj` the files that it names beside it or in folders below
+/// (buffers, images, material libraries and their maps) follow; those that are missing are left out.
+///
+/// # Errors
+/// `missing_file` when one of `paths` cannot be read.
+pub fn read_paths(paths: &[PathBuf]) -> Result<Vec<File>> {
+    let mut files: Vec<File> = Vec::new();
+    for path in paths {
+        let bytes = std::fs::read(path)
+            .map_err(|e| Failure::new(Code::MissingFile, format!("{} cannot be read: {e}", path.display())))?;
+        let name = path.file_name().map_or_else(|| "model".into(), |n| n.to_string_lossy().into_owned());
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let named = match uri::extension(&name).as_str() {
+            "gltf" => named_by_gltf(&bytes),
+            "obj" => named_by_obj(&bytes, folder),
+            _ => Vec::new(),
+        };
+        if !files.iter().any(|f| f.path == name) {
+            files.push(File { path: name, bytes });
+        }
+        for side in named {
+            if files.iter().any(|f| f.path == side) {
+                continue;
+            }
+            if let Some(bytes) = read_beside(folder, &side) {
+                files.push(File { path: side, bytes });
+            }
+        }
+    }
+    Ok(files)
+}
+
+/// Clean relative paths of buffers and images. A document that cannot be parsed names none; `load` says why.
+fn named_by_gltf(bytes: &[u8]) -> Vec<String> {
+    let json: Value = serde_json::from_slice(bytes).unwrap_or_default();
+    let arrays = ["buffers", "images"].into_iter().filter_map(|key| json.get(key)?.as_array());
+    let uris = arrays.flatten().filter_map(|object| object.get("uri")?.as_str());
+    uris.filter(|u| !uri::is_data(u)).filter_map(|u| uri::resolve("", u).ok()).collect()
+}
+
+fn named_by_obj(bytes: &[u8], folder: &Path) -> Vec<String> {
+    let mut named = Vec::new();
+    for library in obj::libraries(bytes) {
+        let Some(text) = read_beside(folder, &library) else { continue };
+        let maps = obj::maps(&text)
+            .into_iter()
+            .filter_map(|map| uri::join(&library, &map).or(uri::normalise(uri::file_name(&map))));
+        named.extend(maps.collect::<Vec<_>>());
+        named.push(library);
+    }
+    named
+}
+
+/// A plain file below `folder`; pipes and devices are not opened.
+fn read_beside(folder: &Path, relative: &str) -> Option<Vec<u8>> {
+    let path = folder.join(relative);
+    path.metadata().ok().filter(std::fs::Metadata::is_file)?;
+    std::fs::read(path).ok()
+}
