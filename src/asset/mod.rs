@@ -29,6 +29,18 @@ pub use limits::Limits;
 pub use load::load;
 pub use side_files::read_paths;
 
+mod geometry;
+mod home;
+mod json;
+mod read;
+mod scan;
+mod sets;
+mod write;
+
+pub use read::read;
+pub use sets::{is_small, mark_uniform, small_slot_warning};
+pub use write::{BakedImage, Refined, read_back, write};
+
 use serde_json::Value;
 
 use crate::atlas::Atlas;

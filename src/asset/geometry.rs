@@ -1,0 +1,201 @@
+//! The triangles of primitives, and the Atlas that they form.
+
+use std::collections::HashMap;
+use std::rc::Rc;
+
+use glam::{DVec2, DVec3};
+
+use super::Document;
+use super::accessor::{accessor_count, read_indices, read_vec2, read_vec3};
+use super::json::{array, index};
+use super::scan::primitive_pointer;
+use crate::atlas::{Atlas, Charts, Topology, UvId, VertexId};
+use crate::context::Context;
+use crate::error::{Code, Failure, Result, Warning};
+
+/// A primitive's triangles, with what an Atlas needs of its vertices.
+#[derive(Debug)]
+pub(crate) struct Geometry {
+    /// Index into `/meshes`: vertices of different meshes are never welded.
+    pub(crate) mesh: usize,
+    /// Accessors of positions and UVs.
+    pub(crate) accessors: (usize, usize),
+    /// Position by glTF vertex, finite.
+    pub(crate) positions: Rc<Vec<[f32; 3]>>,
+    /// UV by glTF vertex, finite.
+    pub(crate) uvs: Rc<Vec<[f32; 2]>>,
+    /// glTF vertices of each triangle.
+    pub(crate) corners: Vec<[u32; 3]>,
+}
+
+/// Reads primitives; accessors that several share are read once.
+pub(crate) struct Reader<'a> {
+    doc: &'a Document,
+    positions: HashMap<usize, Rc<Vec<[f32; 3]>>>,
+    uvs: HashMap<usize, Rc<Vec<[f32; 2]>>>,
+}
+
+impl<'a> Reader<'a> {
+    /// A reader of `doc`.
+    pub(crate) fn new(doc: &'a Document) -> Self {
+        Reader { doc, positions: HashMap::new(), uvs: HashMap::new() }
+    }
+
+    /// Triangles, positions and TEXCOORD_`uv_set` of a triangle primitive.
+    ///
+    /// # Errors
+    /// `invalid_model` with the accessor's pointer: index out of range, counts that differ, numbers that are
+    /// not finite.
+    pub(crate) fn read(&mut self, mesh: usize, primitive: usize, uv_set: usize, context: &Context) -> Result<Geometry> {
+        context.check()?;
+        let pointer = primitive_pointer(mesh, primitive);
+        let value = self.doc.json.pointer(&pointer);
+        let value = value.ok_or_else(|| Failure::model("the primitive does not exist").at(&*pointer))?;
+        let accessors = array(&self.doc.json, "accessors").len();
+        let attribute = |name: &str| {
+            let at = format!("{pointer}/attributes");
+            let found = value.get("attributes").map(|a| index(a, name, accessors, &at)).transpose()?.flatten();
+            found.ok_or_else(|| Failure::model(format!("the primitive has no {name}")).at(at))
+        };
+        let name = format!("TEXCOORD_{uv_set}");
+        let (p, t) = (attribute("POSITION")?, attribute(&name)?);
+        let positions = cached(&mut self.positions, p, || read_vec3(self.doc, p), "POSITION")?;
+        let uvs = cached(&mut self.uvs, t, || read_vec2(self.doc, t), &name)?;
+        if positions.len() != uvs.len() {
+            let text = format!("{name} has {} elements, POSITION has {}", uvs.len(), positions.len());
+            return Err(Failure::model(text).at(format!("{pointer}/attributes/{name}")));
+        }
+        let mode = value.get("mode").and_then(serde_json::Value::as_u64).unwrap_or(4);
+        let indices = index(value, "indices", accessors, &pointer)?;
+        let order = match indices {
+            Some(i) => read_indices(self.doc, i)?,
+            None => (0..u32::try_from(positions.len()).map_err(|_| too_many())?).collect(),
+        };
+        if let Some(bad) = order.iter().find(|v| **v as usize >= positions.len()) {
+            let text = format!("index {bad} is out of range: the primitive has {} vertices", positions.len());
+            let at = indices.map_or(pointer, |i| format!("/accessors/{i}"));
+            return Err(Failure::model(text).at(at));
+        }
+        if mode == 4 && order.len() % 3 != 0 {
+            let text = format!("{} indices are no whole number of triangles: the last are ignored", order.len());
+            context.warn(Warning::new("trailing_indices", text).at(pointer));
+        }
+        Ok(Geometry { mesh, accessors: (p, t), positions, uvs, corners: triangles(mode, &order) })
+    }
+}
+
+/// The number of vertices of a primitive, as its POSITION accessor declares it.
+pub(crate) fn vertex_count(doc: &Document, pointer: &str) -> Result<usize> {
+    let attributes = format!("{pointer}/attributes");
+    let value = doc.json.pointer(&attributes).unwrap_or(&serde_json::Value::Null);
+    let position = index(value, "POSITION", array(&doc.json, "accessors").len(), &attributes)?;
+    let position = position.ok_or_else(|| Failure::model("the primitive has no POSITION").at(attributes))?;
+    accessor_count(doc, position)
+}
+
+fn too_many() -> Failure {
+    Failure::new(Code::TooLarge, "the texture set has more corners than 32 bits can count")
+}
+
+fn cached<const N: usize>(
+    cache: &mut HashMap<usize, Rc<Vec<[f32; N]>>>,
+    accessor: usize,
+    read: impl FnOnce() -> Result<Vec<[f32; N]>>,
+    name: &str,
+) -> Result<Rc<Vec<[f32; N]>>> {
+    if let Some(found) = cache.get(&accessor) {
+        return Ok(found.clone());
+    }
+    let values = read()?;
+    if let Some(bad) = values.iter().position(|v| v.iter().any(|x| !x.is_finite())) {
+        let text = format!("element {bad} of {name} is not finite");
+        return Err(Failure::model(text).at(format!("/accessors/{accessor}")));
+    }
+    let values = Rc::new(values);
+    cache.insert(accessor, values.clone());
+    Ok(values)
+}
+
+/// The triangles that a list of vertices means (glTF 2.0, section 3.7.2.1); what is left over is dropped.
+fn triangles(mode: u64, order: &[u32]) -> Vec<[u32; 3]> {
+    match (mode, order) {
+        (5, _) => {
+            let strip = order.windows(3).enumerate();
+            strip.map(|(i, w)| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[0], w[2], w[1]] }).collect()
+        }
+        (6, [hub, rest @ ..]) => rest.windows(2).map(|w| [w[0], w[1], *hub]).collect(),
+        _ => order.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
+    }
+}
+
+/// Bits of a number by which equal positions are told: -0 is 0.
+fn bits<const N: usize>(v: [f32; N]) -> [u32; N] {
+    v.map(|x| (x + 0.0).to_bits())
+}
+
+/// The Atlas of some primitives: positions welded within a mesh where they are equal bit by bit, UVs within a
+/// welded vertex and a chart; UVs scaled to `size` texels. No provenance, page or sheet yet.
+///
+/// # Errors
+/// `too_large` when 32 bits cannot count the corners.
+pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -> Result<Atlas> {
+    const NONE: u32 = u32::MAX;
+    let faces: usize = primitives.iter().map(|g| g.corners.len()).sum();
+    if faces >= (u32::MAX / 3) as usize {
+        return Err(too_many());
+    }
+    let scale = DVec2::new(f64::from(size[0]), f64::from(size[1]));
+    let mut atlas = Atlas::default();
+    // Looked up, never walked: the order of ids is that of first use.
+    let mut vertices: HashMap<(usize, [u32; 3]), u32> = HashMap::new();
+    let mut uvs: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
+    let mut tables: HashMap<(usize, (usize, usize)), Vec<(u32, u32)>> = HashMap::new();
+    for geometry in primitives {
+        context.check()?;
+        let known = tables
+            .entry((geometry.mesh, geometry.accessors))
+            .or_insert_with(|| vec![(NONE, NONE); geometry.positions.len()]);
+        for corners in &geometry.corners {
+            let mut ids = [(0, 0); 3];
+            for (id, &v) in ids.iter_mut().zip(corners) {
+                let v = v as usize;
+                if known[v].0 == NONE {
+                    let (position, uv) = (geometry.positions[v], geometry.uvs[v]);
+                    let vertex = *vertices.entry((geometry.mesh, bits(position))).or_insert_with(|| {
+                        atlas.surface.positions.push(DVec3::from(position.map(f64::from)));
+                        atlas.surface.positions.len() as u32 - 1
+                    });
+                    let uv = *uvs.entry((vertex, bits(uv))).or_insert_with(|| {
+                        atlas.uv.push(DVec2::from(uv.map(f64::from)) * scale);
+                        atlas.uv.len() as u32 - 1
+                    });
+                    known[v] = (vertex, uv);
+                }
+                *id = known[v];
+            }
+            atlas.surface.triangles.push(ids.map(|i| VertexId(i.0)));
+            atlas.corners.push(ids.map(|i| UvId(i.1)));
+        }
+    }
+    separate_charts(&mut atlas);
+    Ok(atlas)
+}
+
+/// Gives charts that touch at a UV vertex one each, so that each can move alone.
+fn separate_charts(atlas: &mut Atlas) {
+    let charts = Charts::new(&Topology::new(atlas));
+    let mut owner = vec![None; atlas.uv.len()];
+    let mut copies: HashMap<(UvId, u32), UvId> = HashMap::new();
+    let Atlas { uv, corners, .. } = atlas;
+    for (corners, chart) in corners.iter_mut().zip(&charts.of_face) {
+        for corner in corners {
+            let first = owner[corner.index()].get_or_insert(chart.0);
+            if *first != chart.0 {
+                *corner = *copies.entry((*corner, chart.0)).or_insert_with(|| {
+                    uv.push(uv[corner.index()]);
+                    UvId::new(uv.len() - 1)
+                });
+            }
+        }
+    }
+}

@@ -1,0 +1,335 @@
+//! What the document says of materials, textures and primitives, before anything is decided.
+
+use std::collections::BTreeSet;
+
+use serde_json::Value;
+
+use super::Document;
+use super::json::{array, checked, index, object};
+use crate::error::{Failure, Result};
+use crate::texture::{Alpha, Role, Wrap};
+
+/// The document as texture sets see it.
+#[derive(Debug)]
+pub(crate) struct Scan {
+    /// By material index.
+    pub(crate) materials: Vec<Material>,
+    /// By texture index.
+    pub(crate) textures: Vec<Texture>,
+    /// Every primitive of every mesh, points and lines too, in order.
+    pub(crate) primitives: Vec<Primitive>,
+    /// Images that something outside the materials names.
+    pub(crate) named_images: BTreeSet<usize>,
+    /// Textures that something outside the materials names.
+    pub(crate) named_textures: BTreeSet<usize>,
+    /// Whether `extensionsUsed` holds only what is handled.
+    pub(crate) understood: bool,
+}
+
+/// A material's textures.
+#[derive(Debug, Default)]
+pub(crate) struct Material {
+    /// Name, where it has one.
+    pub(crate) name: Option<String>,
+    /// Every texture that it reads.
+    pub(crate) uses: Vec<TextureUse>,
+    /// Treatment of alpha.
+    pub(crate) alpha: Alpha,
+    /// Whether an animation moves one of its texture transforms.
+    pub(crate) animated: bool,
+}
+
+/// One texture read by a material.
+#[derive(Debug, Clone)]
+pub(crate) struct TextureUse {
+    /// JSON pointer of the texture info, below the material.
+    pub(crate) path: String,
+    /// Index into `/textures`.
+    pub(crate) texture: usize,
+    /// Number of the TEXCOORD set that it reads.
+    pub(crate) uv_set: usize,
+    /// What it means; none in a material extension.
+    pub(crate) role: Option<Role>,
+    /// Whether a texture transform other than the identity stands before it.
+    pub(crate) transformed: bool,
+}
+
+/// A texture: image and sampler.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Texture {
+    /// Index into `/images`.
+    pub(crate) image: Option<usize>,
+    /// Index into `/samplers`.
+    pub(crate) sampler: Option<usize>,
+    /// Wrap modes (S, T).
+    pub(crate) wrap: [Wrap; 2],
+    /// Whether minification reads mipmaps.
+    pub(crate) mipmaps: bool,
+    /// Whether an extension gives another source.
+    pub(crate) extended: bool,
+}
+
+/// A primitive.
+#[derive(Debug, Clone)]
+pub(crate) struct Primitive {
+    /// Index into `/meshes`.
+    pub(crate) mesh: usize,
+    /// Index into the mesh's primitives.
+    pub(crate) primitive: usize,
+    /// glTF mode; 4, 5 and 6 are triangles.
+    pub(crate) mode: u64,
+    /// Its material, then those of its variants, each once.
+    pub(crate) materials: Vec<usize>,
+    /// Whether it has a default material.
+    pub(crate) default_material: Option<usize>,
+    /// Accessor of POSITION.
+    pub(crate) positions: Option<usize>,
+    /// Accessor of indices.
+    pub(crate) indices: Option<usize>,
+}
+
+impl Primitive {
+    /// JSON pointer of the primitive.
+    pub(crate) fn pointer(&self) -> String {
+        primitive_pointer(self.mesh, self.primitive)
+    }
+    /// Whether it draws triangles.
+    pub(crate) fn is_triangles(&self) -> bool {
+        (4..=6).contains(&self.mode)
+    }
+}
+
+/// JSON pointer of a primitive.
+pub(crate) fn primitive_pointer(mesh: usize, primitive: usize) -> String {
+    format!("/meshes/{mesh}/primitives/{primitive}")
+}
+
+const SLOTS: [(&str, Role); 5] = [
+    ("/pbrMetallicRoughness/baseColorTexture", Role::BaseColor),
+    ("/pbrMetallicRoughness/metallicRoughnessTexture", Role::MetallicRoughness),
+    ("/normalTexture", Role::Normal),
+    ("/occlusionTexture", Role::Occlusion),
+    ("/emissiveTexture", Role::Emissive),
+];
+
+/// Extensions of which everything is known that matters here.
+fn is_handled(extension: &str) -> bool {
+    extension.starts_with("KHR_materials_")
+        || matches!(
+            extension,
+            "KHR_mesh_quantization" | "KHR_texture_transform" | "KHR_lights_punctual" | "EXT_mesh_gpu_instancing"
+        )
+}
+
+/// Reads materials, textures and primitives.
+///
+/// # Errors
+/// `invalid_model` with the pointer of an index that is out of range or a value of the wrong kind.
+pub(crate) fn scan(doc: &Document) -> Result<Scan> {
+    let json = &doc.json;
+    let textures = array(json, "textures").iter().enumerate();
+    let textures = textures.map(|(i, t)| texture(json, i, t)).collect::<Result<Vec<_>>>()?;
+    let animated = animated_transforms(json);
+    let mut materials = Vec::new();
+    for (i, value) in array(json, "materials").iter().enumerate() {
+        let mut material = material(value, textures.len(), i)?;
+        material.animated = animated.contains(&i);
+        materials.push(material);
+    }
+    let mut primitives = Vec::new();
+    for (m, mesh) in array(json, "meshes").iter().enumerate() {
+        for (p, value) in array(mesh, "primitives").iter().enumerate() {
+            primitives.push(primitive(json, value, m, p)?);
+        }
+    }
+    let mut named = (BTreeSet::new(), BTreeSet::new());
+    for (key, value) in json.as_object().into_iter().flatten() {
+        if key != "materials" {
+            named_by_extensions(value, &mut named);
+        }
+    }
+    if let Some(extensions) = json.get("extensions") {
+        collect_names(extensions, &mut named);
+    }
+    let understood = array(json, "extensionsUsed").iter().all(|e| e.as_str().is_some_and(is_handled));
+    Ok(Scan { materials, textures, primitives, named_images: named.0, named_textures: named.1, understood })
+}
+
+fn texture(json: &Value, i: usize, value: &Value) -> Result<Texture> {
+    let pointer = format!("/textures/{i}");
+    let image = index(value, "source", array(json, "images").len(), &pointer)?;
+    let samplers = array(json, "samplers");
+    let sampler = index(value, "sampler", samplers.len(), &pointer)?;
+    let settings = sampler.and_then(|s| samplers.get(s));
+    let number = |key: &str| settings.and_then(|s| s.get(key)).and_then(Value::as_u64);
+    let wrap = |key: &str| match number(key) {
+        Some(33071) => Wrap::ClampToEdge,
+        Some(33648) => Wrap::MirroredRepeat,
+        _ => Wrap::Repeat,
+    };
+    Ok(Texture {
+        image,
+        sampler,
+        wrap: [wrap("wrapS"), wrap("wrapT")],
+        mipmaps: !matches!(number("minFilter"), Some(9728 | 9729)),
+        extended: object(value, "extensions").is_some_and(|e| !e.is_empty()),
+    })
+}
+
+fn material(value: &Value, textures: usize, i: usize) -> Result<Material> {
+    let pointer = format!("/materials/{i}");
+    let mut uses = Vec::new();
+    for (path, role) in SLOTS {
+        if let Some(info) = value.pointer(path) {
+            uses.push(texture_use(info, path.to_owned(), Some(role), textures, &pointer)?);
+        }
+    }
+    if let Some(extensions) = value.get("extensions") {
+        extension_uses(extensions, "/extensions", textures, &pointer, &mut uses)?;
+    }
+    let alpha = match value.get("alphaMode").and_then(Value::as_str) {
+        Some("BLEND") => Alpha::Blend,
+        Some("MASK") => Alpha::Mask(value.get("alphaCutoff").and_then(Value::as_f64).unwrap_or(0.5)),
+        _ => Alpha::Opaque,
+    };
+    let name = value.get("name").and_then(Value::as_str).filter(|n| !n.is_empty()).map(str::to_owned);
+    Ok(Material { name, uses, alpha, animated: false })
+}
+
+fn texture_use(
+    info: &Value,
+    path: String,
+    role: Option<Role>,
+    textures: usize,
+    pointer: &str,
+) -> Result<TextureUse> {
+    let at = format!("{pointer}{path}");
+    let texture = index(info, "index", textures, &at)?
+        .ok_or_else(|| Failure::model("a texture is named without an index").at(at.clone()))?;
+    let uv_set = index(info, "texCoord", 1 << 16, &at)?.unwrap_or(0);
+    let transform = info.pointer("/extensions/KHR_texture_transform");
+    let transformed = transform.is_some_and(|t| !is_identity(t));
+    Ok(TextureUse { path, texture, uv_set, role, transformed })
+}
+
+/// Whether a texture transform changes nothing. One that names another TEXCOORD set does.
+fn is_identity(transform: &Value) -> bool {
+    let pair = |key: &str, wanted: f64| {
+        transform.get(key).is_none_or(|v| {
+            v.as_array().is_some_and(|a| a.len() == 2 && a.iter().all(|x| x.as_f64() == Some(wanted)))
+        })
+    };
+    let turn = transform.get("rotation").is_none_or(|r| r.as_f64() == Some(0.0));
+    pair("offset", 0.0) && pair("scale", 1.0) && turn && transform.get("texCoord").is_none()
+}
+
+/// Every `…Texture: {index}` below a material's extensions.
+fn extension_uses(
+    value: &Value,
+    path: &str,
+    textures: usize,
+    pointer: &str,
+    uses: &mut Vec<TextureUse>,
+) -> Result<()> {
+    match value {
+        Value::Object(map) => {
+            for (key, child) in map {
+                let below = format!("{path}/{}", key.replace('~', "~0").replace('/', "~1"));
+                if key.ends_with("exture") && child.get("index").is_some_and(Value::is_u64) {
+                    uses.push(texture_use(child, below.clone(), None, textures, pointer)?);
+                }
+                extension_uses(child, &below, textures, pointer, uses)?;
+            }
+        }
+        Value::Array(items) => {
+            for (i, child) in items.iter().enumerate() {
+                extension_uses(child, &format!("{path}/{i}"), textures, pointer, uses)?;
+            }
+        }
+        _ => {}
+    }
+    Ok(())
+}
+
+fn primitive(json: &Value, value: &Value, m: usize, p: usize) -> Result<Primitive> {
+    let pointer = primitive_pointer(m, p);
+    let count = array(json, "materials").len();
+    let default_material = index(value, "material", count, &pointer)?;
+    let mut materials: Vec<usize> = default_material.into_iter().collect();
+    if let Some(variants) = value.pointer("/extensions/KHR_materials_variants") {
+        for (i, mapping) in array(variants, "mappings").iter().enumerate() {
+            let at = format!("{pointer}/extensions/KHR_materials_variants/mappings/{i}");
+            if let Some(material) = index(mapping, "material", count, &at)?
+                && !materials.contains(&material)
+            {
+                materials.push(material);
+            }
+        }
+    }
+    let mode = match value.get("mode") {
+        None => 4,
+        Some(mode) => checked(mode, 7, || format!("{pointer}/mode"))? as u64,
+    };
+    let accessors = array(json, "accessors").len();
+    let attributes = value
+        .get("attributes")
+        .filter(|a| a.is_object())
+        .ok_or_else(|| Failure::model("the primitive has no attributes").at(format!("{pointer}/attributes")))?;
+    let positions = index(attributes, "POSITION", accessors, &format!("{pointer}/attributes"))?;
+    let indices = index(value, "indices", accessors, &pointer)?;
+    Ok(Primitive { mesh: m, primitive: p, mode, materials, default_material, positions, indices })
+}
+
+/// Materials of which an animation moves a texture transform (KHR_animation_pointer).
+fn animated_transforms(json: &Value) -> BTreeSet<usize> {
+    let channels = array(json, "animations").iter().flat_map(|a| array(a, "channels"));
+    channels
+        .filter_map(|c| c.pointer("/target/extensions/KHR_animation_pointer/pointer").and_then(Value::as_str))
+        .filter(|p| p.contains("KHR_texture_transform"))
+        .filter_map(|p| p.strip_prefix("/materials/")?.split('/').next()?.parse().ok())
+        .collect()
+}
+
+/// Images and textures named below an `extensions` object anywhere in `value`: what is not understood
+/// may read them, so they must stay as they are.
+fn named_by_extensions(value: &Value, named: &mut (BTreeSet<usize>, BTreeSet<usize>)) {
+    match value {
+        Value::Object(map) => {
+            for (key, child) in map {
+                if key == "extensions" {
+                    collect_names(child, named);
+                } else if key != "extras" {
+                    named_by_extensions(child, named);
+                }
+            }
+        }
+        Value::Array(items) => items.iter().for_each(|child| named_by_extensions(child, named)),
+        _ => {}
+    }
+}
+
+/// Integers below keys that speak of images or textures.
+fn collect_names(value: &Value, named: &mut (BTreeSet<usize>, BTreeSet<usize>)) {
+    let Some(map) = value.as_object() else {
+        value.as_array().into_iter().flatten().for_each(|child| collect_names(child, named));
+        return;
+    };
+    for (key, child) in map {
+        let key = key.to_ascii_lowercase();
+        if key.contains("image") || key == "source" {
+            integers(child, &mut named.0);
+        } else if key.contains("texture") {
+            integers(child, &mut named.1);
+        }
+        collect_names(child, named);
+    }
+}
+
+fn integers(value: &Value, into: &mut BTreeSet<usize>) {
+    match value {
+        Value::Number(n) => into.extend(n.as_u64().and_then(|n| usize::try_from(n).ok())),
+        Value::Array(items) => items.iter().for_each(|child| integers(child, into)),
+        Value::Object(map) => map.values().for_each(|child| integers(child, into)),
+        _ => {}
+    }
+}

@@ -1,0 +1,97 @@
+//! The Atlas of a set as a written file has it.
+
+use super::{Refined, faces_of, has_readers, last_uv_set, pages};
+use crate::asset::Document;
+use crate::asset::geometry::{Geometry, Reader, weld};
+use crate::asset::json::array;
+use crate::asset::scan::primitive_pointer;
+use crate::atlas::{Atlas, FaceId, UvId};
+use crate::context::Context;
+use crate::error::{Failure, Result};
+
+/// Reads the Atlas of `sets[index]` from the document that [`super::write`] made of all of `sets` (or from the file saved from it).
+/// Faces, provenance, pages and sheets are those of the refined Atlas; surface and UVs are the file's own.
+///
+/// # Errors
+/// `invalid_model` or `internal` where the document does not hold the set.
+pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &Context) -> Result<Atlas> {
+    let refined = sets.get(index).ok_or_else(|| Failure::internal("there is no such set"))?;
+    let (set, after) = (refined.set, refined.atlas);
+    let faces = faces_of(set, after)?;
+    let mut reader = Reader::new(doc);
+    // Geometries, the faces that they hold, and the page of each.
+    let mut parts: Vec<(Geometry, Vec<FaceId>, u16)> = Vec::new();
+    for (p, primitive) in set.primitives.iter().enumerate() {
+        for (n, page) in pages(after, &faces[p]).into_iter().enumerate() {
+            let number = match n {
+                0 => primitive.primitive,
+                _ => appended(doc, sets, (index, p), n)?,
+            };
+            let value = doc.json.pointer(&primitive_pointer(primitive.mesh, number));
+            let value = value.ok_or_else(|| Failure::internal("a written primitive is missing"))?;
+            let uv_set = if has_readers(value) { last_uv_set(value) } else { primitive.uv_set };
+            let geometry = reader.read(primitive.mesh, number, uv_set, context)?;
+            let own: Vec<FaceId> = faces[p].iter().copied().filter(|f| after.page[f.index()] == page).collect();
+            if own.len() != geometry.corners.len() {
+                let text = format!("{} triangles were written, and {} are read", own.len(), geometry.corners.len());
+                return Err(Failure::internal(text).at(primitive_pointer(primitive.mesh, number)));
+            }
+            parts.push((geometry, own, page));
+        }
+    }
+    let (geometries, owners): (Vec<_>, Vec<_>) = parts.into_iter().map(|(g, faces, page)| (g, (faces, page))).unzip();
+    let read = weld(&geometries, [1, 1], context)?;
+    let mut atlas = Atlas {
+        provenance: after.provenance.clone(),
+        page: after.page.clone(),
+        sheets: after.sheets.clone(),
+        corners: vec![Default::default(); after.corners.len()],
+        uv: Vec::new(),
+        surface: crate::atlas::Surface { triangles: vec![Default::default(); after.corners.len()], ..read.surface.clone() },
+    };
+    let order = owners.iter().flat_map(|(faces, page)| faces.iter().map(|f| (*f, *page)));
+    // By UV vertex: its page, once known. Charts of two pages never share one, but for a vertex of equal UVs.
+    let mut scaled = vec![None; read.uv.len()];
+    atlas.uv = read.uv.clone();
+    for (i, (face, page)) in order.enumerate() {
+        atlas.surface.triangles[face.index()] = read.surface.triangles[i];
+        let sheet = after.sheets[usize::from(page)];
+        let size = glam::DVec2::new(f64::from(sheet[0]), f64::from(sheet[1]));
+        let mut corners = read.corners[i];
+        for corner in &mut corners {
+            match scaled[corner.index()] {
+                None => {
+                    scaled[corner.index()] = Some(page);
+                    atlas.uv[corner.index()] = read.uv[corner.index()] * size;
+                }
+                Some(first) if first == page => {}
+                Some(_) => {
+                    atlas.uv.push(read.uv[corner.index()] * size);
+                    *corner = UvId::new(atlas.uv.len() - 1);
+                }
+            }
+        }
+        atlas.corners[face.index()] = corners;
+    }
+    Ok(atlas)
+}
+
+/// Number of the primitive that [`super::write`] appended for the `n`-th page of a primitive: they stand at the mesh's
+/// end in the order of sets, primitives and pages.
+fn appended(doc: &Document, sets: &[Refined<'_>], wanted: (usize, usize), n: usize) -> Result<usize> {
+    let mesh = sets[wanted.0].set.primitives[wanted.1].mesh;
+    let (mut before, mut total) = (0, 0);
+    for (s, refined) in sets.iter().enumerate() {
+        let faces = faces_of(refined.set, refined.atlas)?;
+        for (p, primitive) in refined.set.primitives.iter().enumerate().filter(|(_, p)| p.mesh == mesh) {
+            let more = pages(refined.atlas, &faces[p]).len() - 1;
+            total += more;
+            before += if (s, p) < wanted { more } else { 0 };
+            debug_assert_eq!(primitive.mesh, mesh);
+        }
+    }
+    let pointer = format!("/meshes/{mesh}");
+    let count = doc.json.pointer(&pointer).map_or(0, |m| array(m, "primitives").len());
+    let first = count.checked_sub(total).ok_or_else(|| Failure::internal("written primitives are missing").at(pointer))?;
+    Ok(first + before + n - 1)
+}
