@@ -62,7 +62,9 @@ fn read_set(
     for (i, (geometry, &p)) in geometries.into_iter().zip(&planned.primitives).enumerate() {
         let first_face = atlas.provenance.len();
         let face_count = geometry.corners.len();
-        atlas.provenance.extend((first_face..first_face + face_count).map(|f| Provenance::whole(FaceId::new(f), i as u32)));
+        atlas
+            .provenance
+            .extend((first_face..first_face + face_count).map(|f| Provenance::whole(FaceId::new(f), i as u32)));
         let scanned = &scan.primitives[p];
         primitives.push(PrimitiveRef {
             mesh: scanned.mesh,

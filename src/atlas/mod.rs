@@ -7,8 +7,8 @@
 mod area;
 pub(crate) mod bvh;
 mod charts;
-mod edit;
 mod clusters;
+mod edit;
 mod ids;
 mod overlap;
 #[cfg(test)]
@@ -17,8 +17,8 @@ mod topology;
 
 pub use area::{Coverage, coverage, coverage_of_page, covered_area};
 pub use charts::{Charts, Loops};
-pub use edit::Move;
 pub use clusters::{Clusters, clusters};
+pub use edit::Move;
 pub use ids::{ChartId, FaceId, UvId, VertexId};
 pub use overlap::{Overlaps, orientation, overlapping_charts, overlaps, penetration, triangles_overlap};
 pub use topology::Topology;

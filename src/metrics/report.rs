@@ -102,20 +102,22 @@ pub struct TextureReport {
     pub before: ImageReport,
     /// As delivered.
     pub after: ImageReport,
-    /// Fraction of the covered texels that were copied unchanged.
-    pub verbatim_texels: Option<f64>,
+    /// Texels of the slot, on all pages, whose centre a chart covers and that were copied unchanged.
+    pub verbatim_texels: u64,
     /// Surface colour before against after, before encoding, in dB, at most 120; null for directions.
     pub psnr_db: Option<f64>,
-    /// Whether every sample is the same but for rounding.
+    /// Whether at all sampled points the texels of the bilinear footprint are equal (directions: after the turn).
     pub exact: bool,
     /// Median angle between directions before and after, in degrees; null for colours and data.
     pub angle_median_deg: Option<f64>,
     /// 95th percentile of that angle, in degrees.
     pub angle_p95_deg: Option<f64>,
-    /// Largest difference of a channel, in 0..=1.
-    pub max_error: Option<f64>,
-    /// Mean difference of a channel at mip level 2, in 0..=1.
-    pub mip2_mean_error: Option<f64>,
+    /// Largest difference of a channel at the sampled points, in 1/255.
+    pub max_error: f64,
+    /// Mean difference of a channel at mip level 2, in 1/255.
+    pub mip2_mean_error: f64,
+    /// Largest difference of a channel at mip level 2, in 1/255.
+    pub mip2_max_error: f64,
 }
 
 /// An image file.

@@ -1,3 +1,11 @@
 //! The stages, from Atlas to Atlas, and the recipe that runs them in order.
 
+mod check;
 pub mod options;
+mod pack;
+mod report;
+pub mod run;
+mod stage;
+mod textures;
+
+pub use run::{Artifact, Input, Outcome, inspect, inspect_and_judge, refine};

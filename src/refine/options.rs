@@ -67,6 +67,15 @@ pub enum Stage {
     Pack {},
 }
 
+impl Stage {
+    /// The name in options, reports and progress.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Stage::Pack {} => "pack",
+        }
+    }
+}
+
 /// Rotations that packing may use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]

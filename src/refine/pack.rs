@@ -3,7 +3,7 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::options::{IfLarger, Options, OverlapMode, Overflow, Pack, Rotation, Size};
+use super::options::{IfLarger, Options, Overflow, OverlapMode, Pack, Rotation, Size};
 use super::stage::{Frame, Staged};
 use crate::atlas::{Atlas, Charts, Clusters, Move, Topology, clusters, overlapping_charts};
 use crate::context::Context;
@@ -70,7 +70,11 @@ fn spacing(frame: &Frame, pack: &Pack, scaled: bool) -> Spacing {
     if pack.rotation == Rotation::Any || scaled {
         return Spacing { gutter, margin, lattice: None, unit };
     }
-    let steps = if frame.mipmaps && !frame.is_virtual { pack.grid.max(MIP_LATTICE.min(frame.gutter(pack).max(1))) } else { pack.grid };
+    let steps = if frame.mipmaps && !frame.is_virtual {
+        pack.grid.max(MIP_LATTICE.min(frame.gutter(pack).max(1)))
+    } else {
+        pack.grid
+    };
     // Cells divide the lattice by a power of two: an odd factor goes into the cell.
     let twos = 1 << steps.trailing_zeros().min(6);
     let unit = unit * f64::from(steps / twos);
@@ -104,7 +108,10 @@ fn place(pieces: &[Piece], frame: &Frame, options: &Options, context: &Context) 
             Some(fitted) => Ok(fitted.packing),
             None => Err(crate::error::Failure::new(
                 Code::TooLarge,
-                format!("the charts and their gutters do not fit on a sheet of {} x {} texels at any scale", sheet[0], sheet[1]),
+                format!(
+                    "the charts and their gutters do not fit on a sheet of {} x {} texels at any scale",
+                    sheet[0], sheet[1]
+                ),
             )
             .at("/texture/size")),
         }
@@ -120,7 +127,10 @@ fn place(pieces: &[Piece], frame: &Frame, options: &Options, context: &Context) 
         _ => {
             context.warn(Warning::new(
                 "scaled_to_fit",
-                format!("the charts of atlas {} are scaled down to fit on a sheet of {} texels", frame.id, texture.max_size),
+                format!(
+                    "the charts of atlas {} are scaled down to fit on a sheet of {} texels",
+                    frame.id, texture.max_size
+                ),
             ));
             fitted(request.max, 1.0)
         }

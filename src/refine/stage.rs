@@ -24,10 +24,11 @@ impl Frame {
     /// The frame of a texture set.
     pub fn new(set: &TextureSet) -> Self {
         let ratio = |slot: &crate::asset::Slot| {
-            let along = |side: usize, size: u32| (f64::from(set.reference[side]) / f64::from(size.max(1)) - 1e-9).ceil() as u32;
+            let along =
+                |side: usize, size: u32| (f64::from(set.reference[side]) / f64::from(size.max(1)) - 1e-9).ceil() as u32;
             along(0, slot.header.width).max(along(1, slot.header.height))
         };
-        let slots = || set.slots.iter().filter(|s| !s.exempt);
+        let slots = || set.slots.iter().filter(|s| !s.exempt && !crate::asset::is_small(s, set.reference));
         let smallest = slots().map(ratio).max().unwrap_or(1).max(1);
         // Beyond 64 texels a common grid costs more than resampling the odd slot.
         let unit = match set.grid {

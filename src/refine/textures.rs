@@ -1,11 +1,11 @@
 //! The images of one texture set, slot by slot: decode, bake, compare, encode.
 
 use super::options::{Texture, TextureFormat};
-use crate::asset::{Document, Slot, TextureSet};
+use crate::asset::{Document, Slot, TextureSet, is_small, mark_uniform, small_slot_warning};
 use crate::atlas::Atlas;
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
-use crate::texture::{Bake, Fidelity, Format, Image, SAMPLES, bake, decode, encode, fidelity};
+use crate::texture::{Bake, FIDELITY_SAMPLES, Fidelity, Format, Image, Samples, bake, decode, encode, fidelity};
 
 /// Texels about each chart that are taken from the uploaded image: enough for mip levels 0 to 2.
 const BLEED: u32 = 8;
@@ -58,6 +58,45 @@ pub fn bake_slots(
     Ok(baked)
 }
 
+/// Exempts the slots of one colour: any UVs fit them. Only those that look like it (small, or files of next to no bytes) are decoded for
+/// that; one that does not decode fails later, if at all.
+///
+/// # Errors
+/// `canceled`.
+pub fn exempt_uniform(doc: &Document, set: &mut TextureSet, max_pixels: u64, context: &Context) -> Result<()> {
+    for index in 0..set.slots.len() {
+        context.check()?;
+        let slot = &set.slots[index];
+        let Some(bytes) = doc.images.get(slot.image).and_then(Option::as_deref) else { continue };
+        let texels = u64::from(slot.header.width) * u64::from(slot.header.height);
+        let flat = (bytes.len() as u64) < texels / 64 + 256;
+        // The reference slot itself gives the sheet its size.
+        let is_reference = [slot.header.width, slot.header.height] == set.reference;
+        if (flat || is_small(slot, set.reference))
+            && !is_reference
+            && decode(bytes, max_pixels).is_ok_and(|image| is_uniform(&image))
+        {
+            mark_uniform(set, index);
+        }
+        if let Some(warning) = small_slot_warning(set, index) {
+            context.warn(warning);
+        }
+    }
+    Ok(())
+}
+
+fn is_uniform(image: &Image) -> bool {
+    fn all_equal<T: PartialEq>(samples: &[T], channels: usize) -> bool {
+        let mut texels = samples.chunks_exact(channels.max(1));
+        texels.next().is_none_or(|first| texels.all(|t| t == first))
+    }
+    let channels = usize::from(image.channels);
+    match &image.samples {
+        Samples::U8(samples) => all_equal(samples, channels),
+        Samples::U16(samples) => all_equal(samples, channels),
+    }
+}
+
 fn bake_slot(
     doc: &Document,
     set: &TextureSet,
@@ -77,7 +116,7 @@ fn bake_slot(
     let job = Bake { before: &set.atlas, after, reference: set.reference, slot, source: &source, bleed: BLEED };
     let baked = bake(&job, context)?;
     let (fidelity, files) = rayon::join(
-        || fidelity(&job, &baked, SAMPLES, context),
+        || fidelity(&job, &baked, FIDELITY_SAMPLES, context),
         || {
             baked
                 .pages
@@ -108,13 +147,28 @@ fn format_of(slot: &Slot, page: &Image, options: &Texture, context: &Context, po
     if wanted != Format::Jpeg {
         return wanted;
     }
-    let deep = matches!(page.samples, crate::texture::Samples::U16(_));
+    let deep = matches!(page.samples, Samples::U16(_));
     if page.channels % 2 == 0 || deep {
-        context.warn(Warning::new("kept_png", format!("{} has alpha or 16 bits, which JPEG cannot hold: it is written as PNG", slot.name)).at(pointer));
+        context.warn(
+            Warning::new(
+                "kept_png",
+                format!("{} has alpha or 16 bits, which JPEG cannot hold: it is written as PNG", slot.name),
+            )
+            .at(pointer),
+        );
         return Format::Png;
     }
     if slot.header.format == Format::Jpeg {
-        context.warn(Warning::new("lossy_reencode", format!("{} was a JPEG and is compressed once more (set texture.format to \"png\" to avoid that)", slot.name)).at(pointer));
+        context.warn(
+            Warning::new(
+                "lossy_reencode",
+                format!(
+                    "{} was a JPEG and is compressed once more (set texture.format to \"png\" to avoid that)",
+                    slot.name
+                ),
+            )
+            .at(pointer),
+        );
     }
     Format::Jpeg
 }

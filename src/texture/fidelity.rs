@@ -294,11 +294,10 @@ impl Comparison<'_> {
                 let old = at(source, from, self.job.slot.wrap);
                 let same = |v: [f64; 4]| self.turned(v, map).iter().zip(self.turned(old, map)).all(|(a, b)| *a == b);
                 let offsets = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
-                let flat =
-                    offsets.iter().all(|(x, y)| same(at(source, from + DVec2::new(*x, *y), self.job.slot.wrap)));
-                flat && texels
-                    .into_iter()
-                    .all(|p| at(image, p, [Wrap::ClampToEdge; 2]).iter().zip(self.turned(old, map)).all(|(a, b)| *a == b))
+                let flat = offsets.iter().all(|(x, y)| same(at(source, from + DVec2::new(*x, *y), self.job.slot.wrap)));
+                flat && texels.into_iter().all(|p| {
+                    at(image, p, [Wrap::ClampToEdge; 2]).iter().zip(self.turned(old, map)).all(|(a, b)| *a == b)
+                })
             }
         }
     }
@@ -318,7 +317,9 @@ impl Sums {
 
     fn fidelity(mut self) -> Fidelity {
         self.angles.sort_unstable_by(f64::total_cmp);
-        let rank = |q: f64| self.angles.get(((self.angles.len() as f64 * q) as usize).min(self.angles.len().saturating_sub(1)));
+        let rank = |q: f64| {
+            self.angles.get(((self.angles.len() as f64 * q) as usize).min(self.angles.len().saturating_sub(1)))
+        };
         let samples = f64::from(self.samples.max(1));
         let mean = self.squares / self.values.max(1.0);
         Fidelity {

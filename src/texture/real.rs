@@ -14,7 +14,8 @@ use crate::context::Context;
 fn load(folder: &str, mesh: &str, texture: &str) -> Option<(Atlas, Image)> {
     let data = std::env::var_os("INTARSIA_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     let folder = data.join("scans").join(folder);
-    let (Ok(text), Ok(bytes)) = (std::fs::read_to_string(folder.join(mesh)), std::fs::read(folder.join(texture))) else {
+    let (Ok(text), Ok(bytes)) = (std::fs::read_to_string(folder.join(mesh)), std::fs::read(folder.join(texture)))
+    else {
         println!("skipped: {} is not at hand", folder.display());
         return None;
     };
@@ -47,7 +48,8 @@ fn load(folder: &str, mesh: &str, texture: &str) -> Option<(Atlas, Image)> {
 
 fn turned(before: &Atlas, angle: f64) -> Atlas {
     let m = DMat2::from_angle(angle);
-    let m = DMat2::from_cols_array(&m.to_cols_array().map(|v| if (v - v.round()).abs() < 1e-12 { v.round() } else { v }));
+    let m =
+        DMat2::from_cols_array(&m.to_cols_array().map(|v| if (v - v.round()).abs() < 1e-12 { v.round() } else { v }));
     let [w, h] = before.sheets[0].map(f64::from);
     let size = m.x_axis.abs() * w + m.y_axis.abs() * h;
     let mut after = before.clone();
