@@ -43,7 +43,10 @@ fn changed(pointer: &str, value: Value) -> Result<(Document, Vec<Warning>)> {
         Some(place) => *place = value,
         None => {
             let (parent, key) = pointer.rsplit_once('/').unwrap();
-            json.pointer_mut(parent).unwrap()[key] = value;
+            match json.pointer_mut(parent).unwrap() {
+                Value::Array(array) => array.push(value),
+                object => object[key] = value,
+            }
         }
     }
     let glb = glb::build(serde_json::to_vec(&json).unwrap(), &doc.buffers[0]).unwrap();
