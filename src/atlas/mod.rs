@@ -7,6 +7,7 @@
 mod area;
 pub(crate) mod bvh;
 mod charts;
+mod check;
 mod clusters;
 mod ids;
 mod overlap;
@@ -16,6 +17,7 @@ mod topology;
 
 pub use area::{Coverage, coverage, coverage_of_page, covered_area};
 pub use charts::{Charts, Loops};
+pub use check::{Exactness, Violation, check};
 pub use clusters::{Clusters, clusters};
 pub use ids::{ChartId, FaceId, UvId, VertexId};
 pub use overlap::{Overlaps, orientation, overlapping_charts, overlaps, penetration, triangles_overlap};
