@@ -7,6 +7,7 @@
 mod area;
 pub(crate) mod bvh;
 mod charts;
+mod check;
 mod clusters;
 mod edit;
 mod ids;
@@ -17,6 +18,7 @@ mod topology;
 
 pub use area::{Coverage, coverage, coverage_of_page, covered_area};
 pub use charts::{Charts, Loops};
+pub use check::{Exactness, Violation, check};
 pub use clusters::{Clusters, clusters};
 pub use edit::Move;
 pub use ids::{ChartId, FaceId, UvId, VertexId};

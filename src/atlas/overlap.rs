@@ -85,8 +85,19 @@ const ROUND: usize = 32;
 /// All overlapping pairs of faces that lie on the same page, at most `limit` of them (see [`Overlaps::truncated`]).
 /// Faces with UVs that are not finite are left out.
 pub fn overlaps(atlas: &Atlas, charts: &Charts, limit: usize) -> Overlaps {
-    let mut found = Overlaps::default();
-    let mut room = limit;
+    let (pairs, truncated) = overlaps_where(atlas, limit, |_, _| true);
+    let (intra, inter) = pairs.into_iter().partition(|p| charts.of_face[p.0.index()] == charts.of_face[p.1.index()]);
+    Overlaps { intra, inter, truncated }
+}
+
+/// The overlapping pairs that `keep` wants, sorted, at most `limit` of them; and whether the search was cut short.
+pub(crate) fn overlaps_where(
+    atlas: &Atlas,
+    limit: usize,
+    keep: impl Fn(FaceId, FaceId) -> bool + Sync,
+) -> (Vec<(FaceId, FaceId)>, bool) {
+    let mut found = Vec::new();
+    let mut truncated = false;
     for page in 0..page_count(atlas) {
         let faces = faces_with_area(atlas, atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page));
         let tree = Bvh::new(&faces.iter().map(|&f| Bounds::of(&atlas.uv_triangle(f))).collect::<Vec<_>>());
@@ -94,22 +105,18 @@ pub fn overlaps(atlas: &Atlas, charts: &Charts, limit: usize) -> Overlaps {
         let triangles: Vec<[DVec2; 3]> = sorted.iter().map(|&f| atlas.uv_triangle(f)).collect();
         let blocks: Vec<usize> = (0..sorted.len()).step_by(BLOCK).collect();
         for round in blocks.chunks(ROUND) {
+            let room = limit - found.len();
             let parts: Vec<(Vec<(FaceId, FaceId)>, bool)> =
-                round.par_iter().map(|&b| block_pairs(&tree, &triangles, &sorted, b, room)).collect();
-            for (mut pairs, cut) in parts {
-                found.truncated |= cut || pairs.len() > room;
-                pairs.truncate(room);
-                room -= pairs.len();
-                let (own, other): (Vec<_>, Vec<_>) =
-                    pairs.into_iter().partition(|p| charts.of_face[p.0.index()] == charts.of_face[p.1.index()]);
-                found.intra.extend(own);
-                found.inter.extend(other);
+                round.par_iter().map(|&b| block_pairs(&tree, &triangles, &sorted, b, room, &keep)).collect();
+            for (pairs, cut) in parts {
+                let room = limit - found.len();
+                truncated |= cut || pairs.len() > room;
+                found.extend(pairs.into_iter().take(room));
             }
         }
     }
-    found.intra.par_sort_unstable();
-    found.inter.par_sort_unstable();
-    found
+    found.par_sort_unstable();
+    (found, truncated)
 }
 
 /// The pairs of the faces at positions `start..start + BLOCK` with later ones; whether a limit was hit.
@@ -119,6 +126,7 @@ fn block_pairs(
     faces: &[FaceId],
     start: usize,
     limit: usize,
+    keep: &(impl Fn(FaceId, FaceId) -> bool + Sync),
 ) -> (Vec<(FaceId, FaceId)>, bool) {
     let mut pairs = Vec::new();
     let mut tests = TESTS_PER_FACE * BLOCK;
@@ -129,8 +137,9 @@ fn block_pairs(
             |_| true,
             |q| {
                 tests = tests.saturating_sub(1);
-                if triangles_overlap(&triangles[p], &triangles[q]) {
-                    pairs.push((faces[p].min(faces[q]), faces[p].max(faces[q])));
+                let pair = (faces[p].min(faces[q]), faces[p].max(faces[q]));
+                if triangles_overlap(&triangles[p], &triangles[q]) && keep(pair.0, pair.1) {
+                    pairs.push(pair);
                 }
                 tests > 0 && pairs.len() <= limit
             },

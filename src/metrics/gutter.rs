@@ -1,10 +1,12 @@
 //! The gutter: free texels between the texels of two clusters.
 
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
 use rayon::prelude::*;
 
 use super::measures::SlotSize;
 use super::raster::{Band, Bands, touched_spans};
-use crate::atlas::{Atlas, Charts, Clusters};
+use crate::atlas::{Atlas, Charts, Clusters, FaceId};
 
 /// Widest gutter that is looked for: the widest that can be asked for.
 const WIDEST: u32 = 64;
@@ -19,7 +21,7 @@ pub(super) fn of(atlas: &Atlas, charts: &Charts, clusters: &Clusters, slots: &[S
 }
 
 fn of_page(atlas: &Atlas, charts: &Charts, clusters: &Clusters, slots: &[SlotSize], page: usize) -> Option<u32> {
-    let cluster = |f: crate::atlas::FaceId| clusters.of_chart[charts.of_face[f.index()].index()];
+    let cluster = |f: FaceId| clusters.of_chart[charts.of_face[f.index()].index()];
     let mut on_page = atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page).map(cluster);
     let first = on_page.next()?;
     if on_page.all(|c| c == first) {
@@ -32,61 +34,125 @@ fn of_page(atlas: &Atlas, charts: &Charts, clusters: &Clusters, slots: &[SlotSiz
         .min_by_key(|s| u64::from(s[0]) * u64::from(s[1]));
     let size = smallest.unwrap_or(atlas.sheets[page]);
     let bands = Bands::new(atlas, page, size, i64::from(WIDEST))?;
-    let gaps: Vec<u32> = bands.par_iter().map(|band| of_band(&band, size[0], cluster)).collect();
-    gaps.into_iter().min()
+    let best = AtomicU32::new(WIDEST);
+    bands.par_iter().for_each(|band| {
+        grow(&band, size[0], cluster, &best);
+    });
+    Some(best.into_inner())
 }
 
+/// No cluster has it yet.
 const FREE: u32 = u32::MAX;
+/// The frame about a band, so that every texel has eight neighbours.
+const WALL: u32 = u32::MAX - 1;
 
+/// Lowers `best` to the smallest gap in a band. (The bands share it only to stop early: the least of all does not depend
+/// on which of them comes first.)
+///
 /// All clusters grow at once, a ring of texels at a time, until two meet: then the sum of their distances is the
 /// smallest gap. (On the shortest way between the closest two texels some neighbours have different nearest clusters.)
-fn of_band(band: &Band<'_>, width: u32, cluster: impl Fn(crate::atlas::FaceId) -> u32) -> u32 {
-    let (w, h) = (width as usize, band.height());
+fn grow(band: &Band<'_>, width: u32, cluster: impl Fn(FaceId) -> u32, best: &AtomicU32) {
+    let (w, h) = (width as usize + 2, band.height() + 2);
     let mut label = vec![FREE; w * h];
+    label[..w].fill(WALL);
+    label[(h - 1) * w..].fill(WALL);
+    for row in label.chunks_exact_mut(w) {
+        (row[0], row[w - 1]) = (WALL, WALL);
+    }
     let mut shared = false;
     for &f in band.faces {
         let own = cluster(f);
         touched_spans(&band.triangle(f), &band.rows, width, |y, x0, x1| {
-            let row = (y - band.rows.start) as usize * w;
+            let row = ((y - band.rows.start) as usize + 1) * w + 1;
             for texel in &mut label[row + x0 as usize..row + x1 as usize] {
                 shared |= *texel != FREE && *texel != own;
                 *texel = own;
             }
         });
         if shared {
-            return 0;
+            best.store(0, Relaxed);
+        }
+        if best.load(Relaxed) == 0 {
+            return;
         }
     }
-    let mut best = WIDEST;
-    let mut ring: Vec<u32> = (0..label.len() as u32)
-        .filter(|&i| label[i as usize] != FREE && neighbours(i, w, h).any(|j| label[j as usize] != label[i as usize]))
-        .collect();
+    let neighbours = |i: usize| [i - w - 1, i - w, i - w + 1, i - 1, i + 1, i + w - 1, i + w, i + w + 1];
+    let is_rim = |&i: &usize| {
+        let own = label[i];
+        own < WALL && neighbours(i).into_iter().any(|j| label[j] != own && label[j] != WALL)
+    };
+    let mut ring: Vec<usize> = (w + 1..label.len().saturating_sub(w + 1)).filter(is_rim).collect();
     let mut distance = vec![0u8; label.len()];
-    for grown in 0..WIDEST as u8 {
+    for grown in 0u32.. {
         let mut next = Vec::new();
         for &i in &ring {
-            let own = label[i as usize];
-            for j in neighbours(i, w, h) {
-                let other = &mut label[j as usize];
-                if *other == FREE {
-                    *other = own;
-                    distance[j as usize] = grown + 1;
+            let own = label[i];
+            for j in neighbours(i) {
+                let other = label[j];
+                if other == FREE {
+                    label[j] = own;
+                    distance[j] = grown as u8 + 1;
                     next.push(j);
-                } else if *other != own {
-                    best = best.min(u32::from(grown) + u32::from(distance[j as usize]));
+                } else if other != own && other != WALL {
+                    best.fetch_min(grown + u32::from(distance[j]), Relaxed);
                 }
             }
         }
-        if next.is_empty() || best <= 2 * (u32::from(grown) + 1) {
-            break;
+        // In the rings to come two distances add up to no less than this.
+        if next.is_empty() || best.load(Relaxed) <= 2 * (grown + 1) {
+            return;
         }
         ring = next;
     }
-    best
 }
 
-fn neighbours(i: u32, w: usize, h: usize) -> impl Iterator<Item = u32> {
-    let (x, y) = (i as usize % w, i as usize / w);
-    let (x0, x1) = (x.saturating_sub(1), (x + 1).min(w - 1));
-    (y.saturating_sub(1)..=(y + 1).min(h - 1)).flat_map(move |v| (x0..=x1).map(move |u| (v * w + u) as u32))
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::atlas::testing::{Rng, join, sheet};
+    use crate::atlas::{Topology, clusters};
+    use crate::refine::options::OverlapMode;
+    use glam::DVec2;
+
+    fn gutter(atlas: &Atlas, slots: &[SlotSize]) -> Option<u32> {
+        let charts = Charts::new(&Topology::new(atlas));
+        of(atlas, &charts, &clusters(atlas, &charts, OverlapMode::Stack), slots)
+    }
+
+    #[test]
+    fn it_is_the_closest_pair_of_texels() {
+        let mut rng = Rng(9);
+        for _ in 0..40 {
+            let corner = |r: &mut Rng| (r.point(700.0) * DVec2::new(0.08, 1.0)).floor();
+            let (mut places, mut atlas) = (vec![corner(&mut rng)], Atlas::default());
+            atlas.sheets = vec![[64, 710]];
+            for _ in 0..6 {
+                let p = corner(&mut rng);
+                if places.iter().all(|q| (p - *q).abs().max_element() >= 3.0) {
+                    places.push(p);
+                }
+            }
+            for p in &places {
+                atlas = join(&atlas, &sheet(3, 3, *p));
+            }
+            let mut expected = WIDEST;
+            for (i, p) in places.iter().enumerate() {
+                for q in &places[..i] {
+                    expected = expected.min((*p - *q).abs().max_element() as u32 - 3);
+                }
+            }
+            assert_eq!(gutter(&atlas, &[]), Some(expected), "{places:?}");
+        }
+    }
+
+    #[test]
+    fn the_smallest_slot_decides_and_stacks_do_not_count() {
+        let slot = |side: u32, exempt: bool| SlotSize { page: 0, width: side, height: side, bytes: 0, exempt };
+        let pair = join(&sheet(8, 8, DVec2::ZERO), &sheet(8, 8, DVec2::new(16.0, 0.0)));
+        assert_eq!(gutter(&pair, &[slot(100, false)]), Some(8));
+        assert_eq!(gutter(&pair, &[slot(100, false), slot(50, false), slot(25, true)]), Some(4));
+        let stack = join(&sheet(8, 8, DVec2::ZERO), &sheet(8, 8, DVec2::ONE));
+        assert_eq!(gutter(&stack, &[]), None);
+        assert_eq!(gutter(&join(&stack, &sheet(2, 2, DVec2::new(9.5, 0.0))), &[]), Some(0), "a texel is shared");
+    }
 }

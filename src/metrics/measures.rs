@@ -306,3 +306,100 @@ fn gpu_bytes(mut width: u32, mut height: u32) -> u64 {
         (width, height) = ((width / 2).max(1), (height / 2).max(1));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::atlas::testing::{join, sheet};
+    use crate::atlas::{UvId, VertexId, clusters};
+    use crate::refine::options::OverlapMode;
+    use glam::DVec2;
+
+    fn measured(atlas: &Atlas, input: Option<&Atlas>, slots: &[SlotSize]) -> Measures {
+        let clusters = clusters(atlas, &Charts::new(&Topology::new(atlas)), OverlapMode::Stack);
+        measure(atlas, &Frame { input, clusters: &clusters, slots, resampled_area: None, signal_error: None })
+    }
+
+    fn close(a: Option<f64>, b: f64) {
+        assert!(a.is_some_and(|a| (a - b).abs() < 1e-9 * b.abs().max(1.0)), "{a:?} is not {b}");
+    }
+
+    /// A plate of 4 x 2, cut across the middle; its halves lie 2 apart. The plate is flat, so all is isometric.
+    fn plate() -> Atlas {
+        let mut atlas = join(&sheet(2, 2, DVec2::ZERO), &sheet(2, 2, DVec2::new(2.0, 0.0)));
+        // The right column of the left half is the left column of the right half.
+        for triangle in &mut atlas.surface.triangles {
+            for v in triangle.iter_mut().filter(|v| v.0 >= 9 && v.0 % 3 == 0) {
+                *v = VertexId(v.0 - 9 + 2);
+            }
+        }
+        for uv in &mut atlas.uv[9..] {
+            uv.x += 2.0;
+        }
+        atlas.sheets = vec![[8, 4]];
+        atlas
+    }
+
+    #[test]
+    fn a_plate_by_hand() {
+        let slot = SlotSize { page: 0, width: 8, height: 4, bytes: 77, exempt: false };
+        let m = measured(&plate(), None, &[slot]);
+        assert_eq!((m.triangles, m.charts, m.flipped_triangles, m.degenerate_triangles), (16, 2, 0, 0));
+        close(m.packing_efficiency, 8.0 / 12.0);
+        close(m.utilisation, 8.0 / 32.0);
+        close(m.boundary_length, 16.0 / 6.0);
+        close(m.seam_length, 2.0 / (8.0 / std::f64::consts::PI).sqrt());
+        close(m.seam_length_diagonal, 2.0 / 20f64.sqrt());
+        close(m.symmetric_dirichlet, 4.0);
+        close(m.distortion_from_input, 4.0);
+        close(m.solidity, 2.0 * (std::f64::consts::PI * 8.0).sqrt() / 16.0);
+        close(m.vertex_replication, 18.0 / 15.0);
+        close(m.smallest_chart, 0.5);
+        close(m.gutter_texels, 2.0);
+        close(m.texel_density.median, 1.0);
+        assert_eq!((m.texture_pixels, m.texture_bytes), (Some(32), Some(77)));
+        assert_eq!(m.gpu_bytes, Some(4 * (32 + 8 + 2 + 1)));
+        let null: Vec<_> = m.undefined.keys().map(String::as_str).collect();
+        assert_eq!(null, ["resampled_area", "signal_error"]);
+    }
+
+    #[test]
+    fn distortion_is_free_of_scale_and_knows_the_input() {
+        let input = plate();
+        let mut after = input.clone();
+        for uv in &mut after.uv {
+            *uv = DVec2::new(uv.x * 6.0, uv.y * 3.0);
+        }
+        let m = measured(&after, Some(&input), &[]);
+        close(m.distortion_from_input, 5.0); // s = (2, 1) / sqrt 2: 2 + 1/2 + 1/2 + 2
+        close(m.symmetric_dirichlet, 5.0);
+        close(m.boundary_length, (2.0 * 12.0 + 2.0 * 24.0 / 2.0 + 24.0) / 6.0);
+    }
+
+    #[test]
+    fn nothing_gives_null_with_a_reason_and_no_panic() {
+        let mut broken = plate();
+        broken.uv.fill(DVec2::ONE);
+        broken.corners[0] = [UvId(0); 3];
+        for m in [measured(&Atlas::default(), None, &[]), measured(&broken, None, &[]), roll_up(&[])] {
+            let value = serde_json::to_value(&m).unwrap_or_default();
+            for path in crate::metrics::paths().iter().filter_map(|p| p.strip_prefix("atlas.")) {
+                let found = path.split('.').try_fold(&value, |v, k| v.get(k));
+                let null = found.is_some_and(serde_json::Value::is_null);
+                assert_eq!(null, m.undefined.contains_key(path), "{path}: {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_model_is_its_atlases_together() {
+        let (a, b) = (plate(), join(&plate(), &sheet(3, 3, DVec2::new(0.0, 4.0))));
+        let parts = [measured(&a, None, &[]), measured(&b, None, &[])];
+        let m = roll_up(&parts);
+        assert_eq!((m.triangles, m.charts), (50, 5));
+        close(m.packing_efficiency, (8.0 + 17.0) / (12.0 + 42.0));
+        close(m.gutter_texels, 2.0);
+        assert!(m.texel_density.median.is_none() && m.undefined.contains_key("texel_density.median"));
+        assert_eq!(roll_up(&parts[..1]).packing_efficiency, parts[0].packing_efficiency);
+    }
+}

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::atlas::{Atlas, FaceId};
 
 /// Rows of one band.
-const ROWS: i64 = 256;
+const ROWS: i64 = 512;
 /// Rows of triangles that one sheet may cost; beyond, figures are not defined rather than late.
 const BUDGET: f64 = 2e9;
 
