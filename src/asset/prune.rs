@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::load::is_handled;
+use super::resolve::is_handled;
 
 /// Extensions that are not handled but are known to refer to neither accessors nor buffer views.
 const HARMLESS: [&str; 6] = [

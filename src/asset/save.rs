@@ -4,10 +4,9 @@
 //! stored. Buffers become one. Where every extension is understood, accessors and buffer views that nothing refers to any
 //! more are left out with their bytes; otherwise every index stays as it is.
 
-use std::collections::BTreeMap;
-
 use serde_json::{Value, json};
 
+use super::side_names::{Names, by_name, media_type, plain};
 use super::structure::{self, list};
 use super::uri;
 use super::{Document, File};
@@ -270,84 +269,4 @@ fn set_number(value: &mut Value, key: &str, wanted: usize, default: Option<usize
     if found != Some(wanted) {
         value[key] = Value::from(wanted);
     }
-}
-
-/// The media type that the first bytes of an image tell.
-fn media_type(bytes: &[u8]) -> Option<&'static str> {
-    match bytes {
-        [0x89, b'P', b'N', b'G', ..] => Some("image/png"),
-        [0xFF, 0xD8, 0xFF, ..] => Some("image/jpeg"),
-        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => Some("image/ktx2"),
-        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Some("image/webp"),
-        _ => None,
-    }
-}
-
-/// The media type that a URI tells: its own, or by its extension.
-fn by_name(name: &str) -> Option<&'static str> {
-    let extension = match name.get(..5) {
-        Some(head) if head.eq_ignore_ascii_case("data:") => name
-            .split([';', ','])
-            .next()
-            .unwrap_or_default()
-            .rsplit('/')
-            .next()
-            .unwrap_or_default()
-            .to_ascii_lowercase(),
-        _ => uri::extension(name),
-    };
-    match extension.as_str() {
-        "png" => Some("image/png"),
-        "jpg" | "jpeg" => Some("image/jpeg"),
-        "ktx2" => Some("image/ktx2"),
-        "webp" => Some("image/webp"),
-        _ => None,
-    }
-}
-
-/// The names of side files, each given once whichever case a file system sees.
-#[derive(Default)]
-struct Names {
-    /// Image by name in lower case.
-    taken: BTreeMap<String, usize>,
-}
-
-impl Names {
-    /// A name for an image's file, and whether the file is yet to be written: images of one file share it.
-    fn find(&mut self, wanted: Option<String>, index: usize, bytes: &[u8], document: &Document) -> (String, bool) {
-        let extension = match media_type(bytes) {
-            Some("image/png") => "png",
-            Some("image/jpeg") => "jpg",
-            Some("image/ktx2") => "ktx2",
-            Some("image/webp") => "webp",
-            _ => "",
-        };
-        let wanted = wanted.unwrap_or_else(|| format!("image-{index}.{extension}").trim_end_matches('.').to_owned());
-        let agrees = extension.is_empty() || by_name(&wanted) == media_type(bytes);
-        let stem =
-            wanted.strip_suffix(&format!(".{}", wanted.rsplit('.').next().unwrap_or_default())).unwrap_or(&wanted);
-        let mut path = if agrees { wanted.clone() } else { format!("{stem}.{extension}") };
-        let ending = if agrees { uri::extension(&wanted) } else { extension.to_owned() };
-        let mut round = 0;
-        loop {
-            let key = path.to_lowercase();
-            match self.taken.get(&key) {
-                Some(other) if document.images.get(*other).and_then(Option::as_deref) == Some(bytes) => {
-                    return (path, false);
-                }
-                None if !matches!(key.as_str(), "model.gltf" | "model.bin") => {
-                    self.taken.insert(key, index);
-                    return (path, true);
-                }
-                _ => {}
-            }
-            path = format!("{stem}-{}.{ending}", index + round).trim_end_matches('.').to_owned();
-            round += document.images.len().max(1);
-        }
-    }
-}
-
-/// A relative path without characters that some file system refuses.
-fn plain(path: &str) -> String {
-    path.chars().map(|c| if matches!(c, ':' | '*' | '?' | '"' | '<' | '>' | '|') { '_' } else { c }).collect()
 }

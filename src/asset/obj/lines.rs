@@ -64,6 +64,9 @@ impl<'a> Lines<'a> {
 /// A `#` opens a comment at the start of a line or after a blank: inside a word it belongs to a name.
 fn without_comment(line: &[u8]) -> &[u8] {
     let line = line.trim_ascii();
+    if !line.contains(&b'#') {
+        return line;
+    }
     if line.starts_with(b"#") {
         return &[];
     }

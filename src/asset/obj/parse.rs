@@ -21,7 +21,7 @@ pub(crate) struct Geometry {
     pub(crate) colors: Vec<[f32; 3]>,
     /// `vt`
     pub(crate) uvs: Vec<[f32; 2]>,
-    /// `vn`
+    /// `vn`; zero where it has no direction
     pub(crate) normals: Vec<[f32; 3]>,
     /// Corners of all faces.
     pub(crate) corners: Vec<Corner>,
@@ -81,7 +81,7 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<Geometry> {
                 let [u, v, _] = numbers(rest, number, 1)?;
                 geometry.uvs.push([u, v]);
             }
-            b"vn" => geometry.normals.push(numbers(rest, number, 3)?),
+            b"vn" => geometry.normals.push(normal(rest, number)?),
             b"f" | b"fo" => {
                 let count = face(&mut geometry, rest, material, number)?;
                 triangles += count.saturating_sub(2);
@@ -149,9 +149,21 @@ fn numbers(rest: &[u8], line: usize, least: usize) -> Result<[f32; 3]> {
     Ok(values)
 }
 
+/// A normal. Scanners write NaN where no area lies about a vertex: such a normal has no direction, and is zero here.
+fn normal(rest: &[u8], line: usize) -> Result<[f32; 3]> {
+    let mut values = [f32::NAN; 3];
+    for (slot, word) in values.iter_mut().zip(words(rest)) {
+        *slot = number(word, line)?;
+    }
+    Ok(if values.iter().all(|v| v.is_finite()) { values } else { [0.0; 3] })
+}
+
+fn number(word: &[u8], line: usize) -> Result<f32> {
+    float(word).ok_or_else(|| Failure::model(format!("line {line}: {} is not a number", quote_bytes(word))))
+}
+
 fn finite(word: &[u8], line: usize) -> Result<f32> {
-    let value =
-        float(word).ok_or_else(|| Failure::model(format!("line {line}: {} is not a number", quote_bytes(word))))?;
+    let value = number(word, line)?;
     if !value.is_finite() {
         return Err(Failure::model(format!("line {line}: {} is not a finite 32-bit number", quote_bytes(word))));
     }

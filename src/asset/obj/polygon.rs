@@ -98,15 +98,15 @@ fn flatten(points: &[DVec3]) -> Vec<DVec2> {
     }
     let axis = normal.abs();
     // Dropping the largest axis of the normal keeps the polygon's shape up to a shear, and its orientation by the sign.
-    let (u, v, sign): (fn(DVec3) -> f64, fn(DVec3) -> f64, f64) = if axis.x >= axis.y && axis.x >= axis.z {
-        (|p| p.y, |p| p.z, normal.x)
+    let (u, v, along) = if axis.x >= axis.y && axis.x >= axis.z {
+        (DVec3::Y, DVec3::Z, normal.x)
     } else if axis.y >= axis.z {
-        (|p| p.z, |p| p.x, normal.y)
+        (DVec3::Z, DVec3::X, normal.y)
     } else {
-        (|p| p.x, |p| p.y, normal.z)
+        (DVec3::X, DVec3::Y, normal.z)
     };
-    let flip = if sign < 0.0 { -1.0 } else { 1.0 };
-    points.iter().map(|p| DVec2::new(u(*p - origin) * flip, v(*p - origin))).collect()
+    let u = if along < 0.0 { -u } else { u };
+    points.iter().map(|p| DVec2::new(u.dot(*p - origin), v.dot(*p - origin))).collect()
 }
 
 /// Whether no corner turns back and the whole turns about once: a fan from the first corner then covers it once.

@@ -21,6 +21,8 @@ pub(crate) struct Part {
     normals: Vec<[f32; 3]>,
     uvs: Vec<[f32; 2]>,
     indices: Vec<u32>,
+    /// Normals without a direction that a face's own stands in for.
+    replaced: usize,
     /// Vertex of each corner. Only asked, never walked: its order is nobody's.
     known: HashMap<Corner, u32>,
 }
@@ -59,6 +61,11 @@ pub(crate) fn build(geometry: &Geometry, warnings: &mut Vec<Warning>) -> Vec<Par
         let corner = |k: &u32| vertices.get(*k as usize).copied().unwrap_or(0);
         part.indices.extend(triangles.iter().flatten().map(corner));
     }
+    let replaced: usize = parts.iter().map(|p| p.replaced).sum();
+    if replaced > 0 {
+        let message = format!("{replaced} vertices with a normal of no direction or NaN take the normal of a face");
+        warnings.push(Warning::new("invalid_normals_replaced", message));
+    }
     if triangulator.given_up > 0 {
         let message = format!("{} large concave polygons are cut into fans, which may overlap", triangulator.given_up);
         warnings.push(Warning::new("polygons_fanned", message));
@@ -86,7 +93,10 @@ impl Part {
         }
         if corner[2] != NONE {
             let normal = geometry.normals.get(n).copied().unwrap_or_default();
-            self.normals.push(unit(normal).unwrap_or_else(|| face_normal(geometry, face)));
+            self.normals.push(unit(normal).unwrap_or_else(|| {
+                self.replaced += 1;
+                face_normal(geometry, face)
+            }));
         }
         index
     }

@@ -101,6 +101,16 @@ fn bad_lines_are_named() {
 }
 
 #[test]
+fn normals_without_direction_are_replaced() {
+    let (doc, warnings) =
+        read("v 0 0 0\nv 1 0 0\nv 0 1 0\nvn nan nan nan\nvn 0 0 0\nvn 0 3 4\nf 1//1 2//2 3//3\n").unwrap();
+    let normals = read_vec3(&doc, attribute(&doc, 0, "NORMAL")).unwrap();
+    assert_eq!(normals, [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.6, 0.8]]);
+    assert_eq!(warnings.iter().map(|w| w.code.as_str()).collect::<Vec<_>>(), ["invalid_normals_replaced"]);
+    assert!(warnings[0].message.starts_with("2 "));
+}
+
+#[test]
 fn a_later_vertex_may_be_named_and_no_faces_is_no_crash() {
     let (doc, _) = read("f 1 2 3\nv 0 0 0\nv 1 0 0\nv 0 1 0\n").unwrap();
     assert_eq!(indices(&doc, 0), [0, 1, 2]);

@@ -69,7 +69,7 @@ pub(crate) fn overlapping() -> Scene {
     let shift = centre(&shape, 1) - centre(&shape, 0);
     let vertices = shape.uvs.len();
     for vertex in (0..vertices).filter(|v| shape.chart[*v] == 0) {
-        shape.uvs[vertex] += shift * 0.5;
+        shape.uvs[vertex] += shift * 0.7;
     }
     let mut scene = Scene::new("overlapping");
     let base = scene.texture("base_color", paint(&[&shape], [1024; 2], BACKGROUND, |p| marble(p.position)));

@@ -42,9 +42,7 @@ pub(crate) fn paint(
             });
         }
     }
-    for _ in 0..GUTTER {
-        grow(&mut texels, &mut filled, width);
-    }
+    grow(&mut texels, &mut filled, width);
     encode(&texels, width, height)
 }
 
@@ -77,19 +75,25 @@ fn each_texel(corners: [DVec2; 3], [width, height]: [usize; 2], mut f: impl FnMu
     }
 }
 
-/// Copies painted texels to their empty neighbours.
+/// Copies painted texels outwards, ring by ring.
 fn grow(texels: &mut [[u8; 3]], filled: &mut [bool], width: usize) {
-    let before = filled.to_vec();
-    let height = before.len() / width;
-    for at in (0..before.len()).filter(|at| !before[*at]) {
-        let (x, y) = (at % width, at / width);
-        let near = (y.saturating_sub(1)..(y + 2).min(height))
-            .flat_map(|j| (x.saturating_sub(1)..(x + 2).min(width)).map(move |i| j * width + i))
-            .find(|n| before[*n]);
-        if let Some(near) = near {
-            texels[at] = texels[near];
-            filled[at] = true;
+    let height = filled.len() / width;
+    let mut rim: Vec<usize> = (0..filled.len()).filter(|at| filled[*at]).collect();
+    for _ in 0..GUTTER {
+        let mut next = Vec::new();
+        for at in rim {
+            let (x, y) = (at % width, at / width);
+            for j in y.saturating_sub(1)..(y + 2).min(height) {
+                for near in j * width + x.saturating_sub(1)..j * width + (x + 2).min(width) {
+                    if !filled[near] {
+                        filled[near] = true;
+                        texels[near] = texels[at];
+                        next.push(near);
+                    }
+                }
+            }
         }
+        rim = next;
     }
 }
 

@@ -15,7 +15,7 @@ impl Random {
 
     /// Evenly in 0..1.
     pub(crate) fn unit(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
+        to_unit(self.bits())
     }
 }
 
@@ -31,13 +31,13 @@ pub(crate) fn smooth(p: DVec3) -> f64 {
     let cell = p.floor();
     let t = p - cell;
     let t = t * t * (DVec3::splat(3.0) - 2.0 * t);
-    let mut sum = 0.0;
-    for corner in 0..8 {
-        let d = DVec3::new(f64::from(corner & 1), f64::from(corner >> 1 & 1), f64::from(corner >> 2));
-        let [x, y, z] = (cell + d).to_array().map(|v| v as i64 as u64);
-        let value = mix(mix(mix(x).wrapping_add(y)).wrapping_add(z));
-        let weight = (DVec3::ONE - d + (2.0 * d - DVec3::ONE) * t).to_array().iter().product::<f64>();
-        sum += weight * (value >> 11) as f64 / (1_u64 << 53) as f64;
-    }
-    sum
+    let [x, y, z] = cell.to_array().map(|v| v as i64 as u64);
+    let blend = |t: f64, ends: [f64; 2]| ends[0] + t * (ends[1] - ends[0]);
+    let along_z = |hash: u64| blend(t.z, [0, 1].map(|k| to_unit(mix(hash.wrapping_add(z).wrapping_add(k)))));
+    let along_y = |hash: u64| blend(t.y, [0, 1].map(|k| along_z(mix(hash.wrapping_add(y).wrapping_add(k)))));
+    blend(t.x, [0, 1].map(|k| along_y(mix(x.wrapping_add(k)))))
+}
+
+fn to_unit(bits: u64) -> f64 {
+    (bits >> 11) as f64 / (1_u64 << 53) as f64
 }

@@ -79,6 +79,17 @@ fn the_others_have_what_they_are_for() {
     let doc = open("overlapping");
     let uvs = read_vec2(&doc, accessor(&doc, 0, "TEXCOORD_0")).unwrap();
     assert_eq!(uvs[..uvs.len() / 2], uvs[uvs.len() / 2..]);
+    let faces = triangles(&doc, 0);
+    let half: Vec<[DVec2; 3]> =
+        faces[..faces.len() / 2].iter().map(|f| f.map(|v| DVec2::from_array(uvs[v].map(f64::from)))).collect();
+    let inside = |p: DVec2, [a, b, c]: &[DVec2; 3]| {
+        [(a, b), (b, c), (c, a)].iter().all(|(a, b)| (**b - **a).perp_dot(p - **a) < 0.0)
+    };
+    let covered = half.iter().filter(|f| {
+        let middle = f.iter().sum::<DVec2>() / 3.0;
+        half.iter().filter(|other| inside(middle, other)).count() > 1
+    });
+    assert!(covered.count() > 10, "one half overlaps itself by accident");
     let doc = open("fragmented");
     assert!(triangles(&doc, 0).len() > 10_000);
     let doc = open("quantized");
