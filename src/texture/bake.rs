@@ -186,15 +186,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         Ok((image, copied))
     }
 
-    fn band(
-        &self,
-        page: &Page,
-        top: u32,
-        rows: u32,
-        width: usize,
-        out: &mut [T],
-        states: &mut [u8],
-    ) -> Result<Counts> {
+    fn band(&self, page: &Page, top: u32, rows: u32, width: usize, out: &mut [T], states: &mut [u8]) -> Result<Counts> {
         let band = page.band(top, rows, self.context, &self.maps)?;
         let mut counts = Counts { copied: 0, alphas: [0; 256], shown: 0 };
         for (row, owners) in band.owner.chunks_exact(width).enumerate() {

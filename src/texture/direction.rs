@@ -109,12 +109,10 @@ mod tests {
                 assert!((new_bitangent + new_v).length() < 1e-12);
                 let texel = [200u8, 90, 240];
                 let decode = |v: u8| f64::from(v) / 255.0 * 2.0 - 1.0;
-                let world =
-                    tangent * decode(texel[0]) + bitangent * decode(texel[1]) + normal * decode(texel[2]);
+                let world = tangent * decode(texel[0]) + bitangent * decode(texel[1]) + normal * decode(texel[2]);
                 let mut turned = texel;
                 turn.turn_samples(&mut turned);
-                let again =
-                    new_u * decode(turned[0]) + new_bitangent * decode(turned[1]) + normal * decode(turned[2]);
+                let again = new_u * decode(turned[0]) + new_bitangent * decode(turned[1]) + normal * decode(turned[2]);
                 assert!((world - again).length() < 1e-12, "{turn:?}");
                 let mut vector = texel.map(|v| decode(v) as f32);
                 turn_vector(m.to_cols_array().map(|v| v as f32), &mut vector);

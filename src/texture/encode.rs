@@ -64,11 +64,7 @@ fn encode_jpeg(image: &Image, quality: u8) -> Result<Vec<u8>> {
     let (width, height) = (side(image.width)?, side(image.height)?);
     let mut file = Vec::new();
     let mut encoder = jpeg_encoder::Encoder::new(&mut file, quality);
-    encoder.set_sampling_factor(if quality >= FULL_CHROMA {
-        SamplingFactor::R_4_4_4
-    } else {
-        SamplingFactor::R_4_2_0
-    });
+    encoder.set_sampling_factor(if quality >= FULL_CHROMA { SamplingFactor::R_4_4_4 } else { SamplingFactor::R_4_2_0 });
     match &image.samples {
         Samples::U8(samples) => encoder.encode(samples, width, height, colour).map_err(|e| failed(&e))?,
         Samples::U16(samples) => {

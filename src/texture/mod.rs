@@ -162,6 +162,6 @@ pub struct Header {
 }
 
 #[cfg(test)]
-mod tests;
-#[cfg(test)]
 mod real;
+#[cfg(test)]
+mod tests;

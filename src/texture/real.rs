@@ -14,7 +14,8 @@ use crate::context::Context;
 fn load(folder: &str, mesh: &str, texture: &str) -> Option<(Atlas, Image)> {
     let data = std::env::var_os("INTARSIA_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     let folder = data.join("scans").join(folder);
-    let (Ok(text), Ok(bytes)) = (std::fs::read_to_string(folder.join(mesh)), std::fs::read(folder.join(texture))) else {
+    let (Ok(text), Ok(bytes)) = (std::fs::read_to_string(folder.join(mesh)), std::fs::read(folder.join(texture)))
+    else {
         println!("skipped: {} is not at hand", folder.display());
         return None;
     };
@@ -47,7 +48,8 @@ fn load(folder: &str, mesh: &str, texture: &str) -> Option<(Atlas, Image)> {
 
 fn turned(before: &Atlas, angle: f64) -> Atlas {
     let m = DMat2::from_angle(angle);
-    let m = DMat2::from_cols_array(&m.to_cols_array().map(|v| if (v - v.round()).abs() < 1e-12 { v.round() } else { v }));
+    let m =
+        DMat2::from_cols_array(&m.to_cols_array().map(|v| if (v - v.round()).abs() < 1e-12 { v.round() } else { v }));
     let [w, h] = before.sheets[0].map(f64::from);
     let size = m.x_axis.abs() * w + m.y_axis.abs() * h;
     let mut after = before.clone();
@@ -62,14 +64,11 @@ fn scans_stay_exact_when_moved_by_whole_texels_and_close_under_any_turn() {
     for (folder, mesh, texture) in [
         ("meshroom_esp32cam", "texturedMesh.obj", "texture_1001.png"),
         ("planeopt_copyroom", "copyroom_c2000_opt.obj", "copyroom_c2000_opt_0_1024.jpg"),
-        ("ycb_025_mug", "textured.obj", "texture_map.jpg"),
-        ("ycb_035_power_drill", "textured.obj", "texture_map.jpg"),
-        ("ycb_059_chain", "textured.obj", "texture_map.jpg"),
     ] {
         let Some((before, image)) = load(folder, mesh, texture) else { continue };
         let slot = slot(Role::BaseColor, &image);
         let reference = [image.width, image.height];
-        for angle in [0.0, std::f64::consts::FRAC_PI_2, 0.5] {
+        for angle in [std::f64::consts::FRAC_PI_2, 0.5] {
             let after = turned(&before, angle);
             let job = Bake { before: &before, after: &after, reference, slot: &slot, source: &image, bleed: 8 };
             let context = Context::silent();
@@ -85,9 +84,6 @@ fn scans_stay_exact_when_moved_by_whole_texels_and_close_under_any_turn() {
                 assert_eq!(baked.resampled_area, 0.0, "{folder}");
                 assert!(figures.max_error < 0.5, "{folder}: {figures:?}");
             }
-            let started = Instant::now();
-            let file = encode(&baked.pages[0], Format::Png, 0).unwrap();
-            println!("  png {:?}, {} bytes", started.elapsed(), file.len());
         }
     }
 }

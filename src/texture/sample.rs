@@ -6,8 +6,8 @@
 
 use glam::{DMat2, DVec2};
 
-use super::codec::{Codec, Depth, alpha_channel};
 use super::Wrap;
+use super::codec::{Codec, Depth, alpha_channel};
 
 /// Texels of the uploaded image by new texel, along the longer axis, from which the kernel is stretched.
 const MINIFIED: f64 = 1.2;
@@ -57,11 +57,7 @@ impl Footprint {
         let across = along.perp();
         // Neither axis narrower than the texels that are read. The kernel keeps the new texel's own axes where it can.
         let (wide, narrow) = (major, minor.max(1.0));
-        let shaped = if minor >= 1.0 {
-            linear
-        } else {
-            DMat2::from_cols(along * wide, across * narrow)
-        };
+        let shaped = if minor >= 1.0 { linear } else { DMat2::from_cols(along * wide, across * narrow) };
         let reach = 2.0 * (shaped.x_axis.abs() + shaped.y_axis.abs());
         let step = (4.0 * wide / TAPS).ceil().clamp(1.0, 1e6) as i64;
         Footprint::Wide { inverse: shaped.inverse(), reach: reach.min(DVec2::splat(1e7)), step }

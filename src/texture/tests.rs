@@ -239,7 +239,8 @@ fn directions_keep_their_angle_under_any_turn() {
         }
     }
     let slot = slot(Role::Normal, &image);
-    for (angle, exact) in [(0.0, true), (std::f64::consts::FRAC_PI_2, true), (std::f64::consts::PI, true), (1.0, false)] {
+    for (angle, exact) in [(0.0, true), (std::f64::consts::FRAC_PI_2, true), (std::f64::consts::PI, true), (1.0, false)]
+    {
         let mut charts = turned_quad(angle, 1.0 / 0.7);
         if exact {
             charts.after.uv.iter_mut().for_each(|uv| *uv = (*uv - 0.3).round());
