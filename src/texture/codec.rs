@@ -164,7 +164,7 @@ impl<T: Depth> Codec<T> {
         if self.codes.is_empty() {
             return quantise(linear_to_srgb(f64::from(light)) as f32);
         }
-        let mut code = usize::from(self.codes[(light * BUCKETS as f32) as usize]);
+        let mut code = usize::from(self.codes[(light * BUCKETS as f32) as i32 as usize]);
         while self.limits.get(code).is_some_and(|limit| light >= *limit) {
             code += 1;
         }
@@ -174,7 +174,7 @@ impl<T: Depth> Codec<T> {
 
 #[inline]
 fn quantise<T: Depth>(value: f32) -> T {
-    T::from_value((value.clamp(0.0, 1.0) * T::MAX as f32 + 0.5) as u32)
+    T::from_value((value.clamp(0.0, 1.0) * T::MAX as f32 + 0.5) as i32 as u32)
 }
 
 #[cfg(test)]

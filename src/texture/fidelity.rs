@@ -5,6 +5,7 @@
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::codec::Depth;
 use super::map::{Map, Maps};
 use super::{Bake, Baked, Image, Samples, Wrap};
 use crate::atlas::{Charts, Topology};
@@ -166,25 +167,33 @@ struct Mip {
 
 impl Mip {
     fn new(image: &Image) -> Self {
-        let full = [image.width as usize, image.height as usize];
+        match &image.samples {
+            Samples::U8(s) => Mip::of(s, image),
+            Samples::U16(s) => Mip::of(s, image),
+        }
+    }
+
+    fn of<T: Depth>(samples: &[T], image: &Image) -> Self {
+        let (full, channels) = ([image.width as usize, image.height as usize], usize::from(image.channels));
         let size = full.map(|n| (n / 4).max(1));
         let range = |i: usize, axis: usize| i * full[axis] / size[axis]..((i + 1) * full[axis]).div_ceil(size[axis]);
-        let texels = (0..size[0] * size[1])
-            .into_par_iter()
-            .with_min_len(1024)
-            .map(|i| {
-                let mut sum = [0.0; 4];
-                let mut count = 0.0;
-                for y in range(i / size[0], 1) {
-                    for x in range(i % size[0], 0) {
-                        let value = image.texel(x as i64, y as i64);
-                        sum.iter_mut().zip(value).for_each(|(s, v)| *s += v);
-                        count += 1.0;
+        let mut texels = vec![[0.0; 4]; size[0] * size[1]];
+        texels.par_chunks_mut(size[0]).with_min_len(16).enumerate().for_each(|(y, row)| {
+            let lines = range(y, 1);
+            for (x, out) in row.iter_mut().enumerate() {
+                let columns = range(x, 0);
+                let mut sum = [0u64; 4];
+                for line in lines.clone() {
+                    let start = line * full[0];
+                    let run = &samples[(start + columns.start) * channels..(start + columns.end) * channels];
+                    for texel in run.chunks_exact(channels) {
+                        sum.iter_mut().zip(texel).for_each(|(s, v)| *s += u64::from(v.value()));
                     }
                 }
-                sum.map(|s| (s / count) as f32)
-            })
-            .collect();
+                let whole = (lines.len() * columns.len()) as f64 * f64::from(T::MAX);
+                *out = sum.map(|s| (s as f64 / whole) as f32);
+            }
+        });
         Mip { size: size.map(|n| n as i64), texels }
     }
 }

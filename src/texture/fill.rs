@@ -20,49 +20,50 @@ struct Level<const C: usize> {
 }
 
 impl<const C: usize> Level<C> {
-    fn get(&self, x: usize, y: usize) -> Option<&([f32; C], f32)> {
-        (x < self.width).then(|| self.texels.get(y * self.width + x)).flatten()
-    }
-
-    /// The next level, half as large: `texel` gives what is known below.
-    fn above(width: usize, height: usize, texel: impl Fn(usize, usize) -> Option<([f32; C], f32)> + Sync) -> Self {
+    /// The next level, half as large. `sum` adds up the texels below in a range of texels: their weighted values, their weights.
+    fn above(width: usize, height: usize, sum: impl Fn(std::ops::Range<usize>) -> ([f32; C], f32) + Sync) -> Self {
         let (w, h) = (width.div_ceil(2), height.div_ceil(2));
         let mut texels = vec![([0.0; C], 0.0); w * h];
-        texels.par_chunks_mut(w * ROWS).enumerate().for_each(|(task, rows)| {
-            for (i, out) in rows.iter_mut().enumerate() {
-                let (x, y) = (i % w, task * ROWS + i / w);
-                let mut sum = [0.0; C];
-                let mut total = 0.0;
-                for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                    let (sx, sy) = (2 * x + dx, 2 * y + dy);
-                    if sx >= width || sy >= height {
-                        continue;
-                    }
-                    if let Some((value, weight)) = texel(sx, sy) {
-                        sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
-                        total += weight;
-                    }
+        texels.par_chunks_mut(w).with_min_len(ROWS).enumerate().for_each(|(y, row)| {
+            for (x, out) in row.iter_mut().enumerate() {
+                let columns = 2 * x..(2 * x + 2).min(width);
+                let start = 2 * y * width;
+                let (mut value, mut weight) = sum(start + columns.start..start + columns.end);
+                if 2 * y + 1 < height {
+                    let start = start + width;
+                    let (more, known) = sum(start + columns.start..start + columns.end);
+                    value.iter_mut().zip(more).for_each(|(v, m)| *v += m);
+                    weight += known;
                 }
-                if total > 0.0 {
-                    *out = (sum.map(|s| s / total), f32::min(total, 1.0));
+                if weight > 0.0 {
+                    *out = (value.map(|v| v / weight), weight.min(1.0));
                 }
             }
         });
         Level { width: w, height: h, texels }
     }
 
+    fn sum(&self, range: std::ops::Range<usize>) -> ([f32; C], f32) {
+        let mut sum = ([0.0; C], 0.0);
+        for (value, weight) in &self.texels[range] {
+            sum.0.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
+            sum.1 += weight;
+        }
+        sum
+    }
+
+    #[inline]
     /// Bilinear value of this level at a texel of the level below.
     fn below(&self, x: usize, y: usize) -> [f32; C] {
         // The near texel has 3/4 of the weight, the one on the other side of the half 1/4.
         let other =
-            |i: usize, size: usize| if i % 2 == 0 { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) };
+            |i: usize, size: usize| if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) };
         let (x0, y0) = (x / 2, y / 2);
         let (x1, y1) = (other(x, self.width), other(y, self.height));
         let mut out = [0.0; C];
         for (sx, sy, weight) in [(x0, y0, 0.5625), (x1, y0, 0.1875), (x0, y1, 0.1875), (x1, y1, 0.0625)] {
-            if let Some((value, _)) = self.get(sx, sy) {
-                out.iter_mut().zip(value).for_each(|(o, v)| *o += weight * v);
-            }
+            let value = &self.texels[sy * self.width + sx].0;
+            out.iter_mut().zip(value).for_each(|(o, v)| *o += weight * v);
         }
         out
     }
@@ -82,13 +83,19 @@ pub(crate) fn fill<T: Depth, const C: usize>(
     }
     context.check()?;
     let pixels = &*texels;
-    let mut pyramid = vec![Level::<C>::above(width, height, |x, y| {
-        let i = y * width + x;
-        (known[i] != 0).then(|| (codec.decode::<C>(&pixels[i * C..i * C + C]), 1.0))
+    let mut pyramid = vec![Level::<C>::above(width, height, |range| {
+        let mut sum = ([0.0; C], 0.0);
+        for (texel, known) in pixels[range.start * C..range.end * C].chunks_exact(C).zip(&known[range]) {
+            if *known != 0 {
+                sum.0.iter_mut().zip(codec.decode::<C>(texel)).for_each(|(s, v)| *s += v);
+                sum.1 += 1.0;
+            }
+        }
+        sum
     })];
     while let Some(level) = pyramid.last().filter(|l| l.width > 1 || l.height > 1) {
         context.check()?;
-        pyramid.push(Level::above(level.width, level.height, |x, y| level.get(x, y).copied()));
+        pyramid.push(Level::above(level.width, level.height, |range| level.sum(range)));
     }
     if let Some((value, weight)) = pyramid.last_mut().and_then(|top| top.texels.first_mut())
         && *weight == 0.0

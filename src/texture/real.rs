@@ -64,14 +64,11 @@ fn scans_stay_exact_when_moved_by_whole_texels_and_close_under_any_turn() {
     for (folder, mesh, texture) in [
         ("meshroom_esp32cam", "texturedMesh.obj", "texture_1001.png"),
         ("planeopt_copyroom", "copyroom_c2000_opt.obj", "copyroom_c2000_opt_0_1024.jpg"),
-        ("ycb_025_mug", "textured.obj", "texture_map.jpg"),
-        ("ycb_035_power_drill", "textured.obj", "texture_map.jpg"),
-        ("ycb_059_chain", "textured.obj", "texture_map.jpg"),
     ] {
         let Some((before, image)) = load(folder, mesh, texture) else { continue };
         let slot = slot(Role::BaseColor, &image);
         let reference = [image.width, image.height];
-        for angle in [0.0, std::f64::consts::FRAC_PI_2, 0.5] {
+        for angle in [std::f64::consts::FRAC_PI_2, 0.5] {
             let after = turned(&before, angle);
             let job = Bake { before: &before, after: &after, reference, slot: &slot, source: &image, bleed: 8 };
             let context = Context::silent();
@@ -87,9 +84,6 @@ fn scans_stay_exact_when_moved_by_whole_texels_and_close_under_any_turn() {
                 assert_eq!(baked.resampled_area, 0.0, "{folder}");
                 assert!(figures.max_error < 0.5, "{folder}: {figures:?}");
             }
-            let started = Instant::now();
-            let file = encode(&baked.pages[0], Format::Png, 0).unwrap();
-            println!("  png {:?}, {} bytes", started.elapsed(), file.len());
         }
     }
 }

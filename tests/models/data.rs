@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use intarsia::asset::File;
-use intarsia::asset::side_files::read_paths;
+use intarsia::asset::read_paths;
 
 /// Those of authored glTF and of scans that packing must master.
 pub const MODELS: [&str; 13] = [
