@@ -266,10 +266,13 @@ fn uv_before(before: &Atlas, after: &Atlas, face: FaceId) -> [DVec2; 3] {
 
 /// Faces whose orientation is neither their chart's nor, against that of the source, what their chart's is: so a chart
 /// may be mirrored as a whole, one that was folded in the input stays folded, and charts may be mirrored to be merged.
-/// And faces that lost their area, though at their chart's scale the input's would be seen.
+/// And faces that lost their area, though at their chart's scale (or the atlas', if less) the input's would be seen.
 fn flips(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> {
     let slack = exactness.texels(extent(after));
     let charts = Charts::new(&Topology::new(after));
+    let total = |of: &dyn Fn(FaceId) -> f64| after.faces().map(of).sum::<f64>();
+    let common_scale =
+        (total(&|f| after.uv_area(f).abs()) / total(&|f| triangle_area(&uv_before(before, after, f)))).sqrt();
     let mut bad = Vec::new();
     for faces in &charts.faces {
         let [mut area, mut input_area, mut chart, mut turned] = [0.0; 4];
@@ -285,10 +288,11 @@ fn flips(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> 
             turned += now * source * own;
             signs.push((now, source));
         }
-        let scale = (area / input_area).sqrt();
+        // A chart that is all rounding has no scale of its own.
+        let scale = if area > 0.0 { (area / input_area).sqrt().min(common_scale) } else { common_scale };
         for (&f, (now, source)) in faces.iter().zip(signs) {
             let flipped = now * chart < 0.0 && now * source * turned < 0.0 && height(&after.uv_triangle(f)) > slack;
-            let lost = || area == 0.0 || scale * height(&uv_before(before, after, f)) > 2.0 * slack;
+            let lost = || common_scale == 0.0 || scale * height(&uv_before(before, after, f)) > 2.0 * slack;
             if source != 0.0 && (flipped || now == 0.0 && lost()) {
                 bad.push(Violation::Flipped(f));
             }
@@ -378,8 +382,8 @@ mod tests {
 
     #[test]
     fn every_fault_is_found() {
-        type Break = fn(&mut Atlas);
-        let cases: [(&str, Break, fn(&Violation) -> bool); 12] = [
+        type Case = (&'static str, fn(&mut Atlas), fn(&Violation) -> bool);
+        let cases: [Case; 12] = [
             ("lengths", |a| a.page.truncate(1), |v| *v == Violation::Lengths),
             ("index", |a| a.corners[3][1] = UvId(9999), |v| *v == Violation::Index(FaceId(3))),
             ("page", |a| a.page[3] = 1, |v| *v == Violation::Index(FaceId(3))),

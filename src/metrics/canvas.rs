@@ -23,6 +23,16 @@ impl Canvas {
         (self.label[i], self.layers[i], self.ink[i])
     }
 
+    /// The label of a pixel of `side` x `side` samples, where all have the same, one triangle each and no ink.
+    pub(super) fn plain(&self, x: usize, y: usize, side: usize) -> Option<u32> {
+        let first = y * side * self.width + x * side;
+        let label = self.label[first];
+        (0..side)
+            .flat_map(|row| (0..side).map(move |column| first + row * self.width + column))
+            .all(|i| self.label[i] == label && self.layers[i] == 1 && self.ink[i] == 0)
+            .then_some(label)
+    }
+
     /// Covers the samples in a triangle; of two triangles that share an edge only one gets a sample on it.
     pub(super) fn triangle(&mut self, t: [DVec2; 3], label: u32) {
         let mut t = t;

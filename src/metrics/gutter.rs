@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use rayon::prelude::*;
 
 use super::measures::SlotSize;
-use super::raster::{Band, Bands, touched_spans};
+use super::raster::{Band, Bands, TOUCH, touched_spans};
 use crate::atlas::{Atlas, Charts, Clusters, FaceId};
 
 /// Widest gutter that is looked for: the widest that can be asked for.
@@ -33,11 +33,31 @@ fn of_page(atlas: &Atlas, charts: &Charts, clusters: &Clusters, slots: &[SlotSiz
         .map(|s| [s.width, s.height])
         .min_by_key(|s| u64::from(s[0]) * u64::from(s[1]));
     let size = smallest.unwrap_or(atlas.sheets[page]);
-    let bands = Bands::new(atlas, page, size, i64::from(WIDEST))?;
-    let best = AtomicU32::new(WIDEST);
-    bands.par_iter().for_each(|band| {
-        grow(&band, size[0], cluster, &best);
-    });
+    // Texels four times as large that are far apart settle it at a fraction of the cost.
+    if size.iter().all(|s| s % COARSE == 0) {
+        let coarse =
+            smallest_gap(atlas, page, size.map(|s| s / COARSE), WIDEST / COARSE, TOUCH / f64::from(COARSE), cluster);
+        if coarse.is_some_and(|gap| gap * COARSE >= WIDEST) {
+            return Some(WIDEST);
+        }
+    }
+    smallest_gap(atlas, page, size, WIDEST, TOUCH, cluster)
+}
+
+const COARSE: u32 = 4;
+
+/// The smallest gap at a given size, at most `widest`.
+fn smallest_gap(
+    atlas: &Atlas,
+    page: usize,
+    size: [u32; 2],
+    widest: u32,
+    touch: f64,
+    cluster: impl Fn(FaceId) -> u32 + Sync,
+) -> Option<u32> {
+    let bands = Bands::new(atlas, page, size, i64::from(widest))?;
+    let best = AtomicU32::new(widest);
+    bands.par_iter().for_each(|band| grow(&band, size[0], touch, &cluster, &best));
     Some(best.into_inner())
 }
 
@@ -51,7 +71,7 @@ const WALL: u32 = u32::MAX - 1;
 ///
 /// All clusters grow at once, a ring of texels at a time, until two meet: then the sum of their distances is the
 /// smallest gap. (On the shortest way between the closest two texels some neighbours have different nearest clusters.)
-fn grow(band: &Band<'_>, width: u32, cluster: impl Fn(FaceId) -> u32, best: &AtomicU32) {
+fn grow(band: &Band<'_>, width: u32, touch: f64, cluster: impl Fn(FaceId) -> u32, best: &AtomicU32) {
     let (w, h) = (width as usize + 2, band.height() + 2);
     let mut label = vec![FREE; w * h];
     label[..w].fill(WALL);
@@ -62,7 +82,7 @@ fn grow(band: &Band<'_>, width: u32, cluster: impl Fn(FaceId) -> u32, best: &Ato
     let mut shared = false;
     for &f in band.faces {
         let own = cluster(f);
-        touched_spans(&band.triangle(f), &band.rows, width, |y, x0, x1| {
+        touched_spans(&band.triangle(f), touch, &band.rows, width, |y, x0, x1| {
             let row = ((y - band.rows.start) as usize + 1) * w + 1;
             for texel in &mut label[row + x0 as usize..row + x1 as usize] {
                 shared |= *texel != FREE && *texel != own;
@@ -77,11 +97,19 @@ fn grow(band: &Band<'_>, width: u32, cluster: impl Fn(FaceId) -> u32, best: &Ato
         }
     }
     let neighbours = |i: usize| [i - w - 1, i - w, i - w + 1, i - 1, i + 1, i + w - 1, i + w, i + w + 1];
-    let is_rim = |&i: &usize| {
-        let own = label[i];
-        own < WALL && neighbours(i).into_iter().any(|j| label[j] != own && label[j] != WALL)
-    };
-    let mut ring: Vec<usize> = (w + 1..label.len().saturating_sub(w + 1)).filter(is_rim).collect();
+    // Four neighbours do for the first ring: what a texel only meets across a corner, one beside it meets across an edge.
+    let mut ring = Vec::new();
+    for y in 1..h.saturating_sub(1) {
+        let row = &label[y * w..(y + 1) * w];
+        let beside = label[(y - 1) * w + 1..].iter().zip(&label[(y + 1) * w + 1..]);
+        for (x, (three, (above, below))) in row.windows(3).zip(beside).enumerate() {
+            let own = three[1];
+            let differs = (three[0] != own) | (three[2] != own) | (*above != own) | (*below != own);
+            if own < WALL && differs {
+                ring.push(y * w + x + 1);
+            }
+        }
+    }
     let mut distance = vec![0u8; label.len()];
     for grown in 0u32.. {
         let mut next = Vec::new();
@@ -122,11 +150,11 @@ mod tests {
     #[test]
     fn it_is_the_closest_pair_of_texels() {
         let mut rng = Rng(9);
-        for _ in 0..40 {
+        for round in 0..40 {
             let corner = |r: &mut Rng| (r.point(700.0) * DVec2::new(0.08, 1.0)).floor();
             let (mut places, mut atlas) = (vec![corner(&mut rng)], Atlas::default());
-            atlas.sheets = vec![[64, 710]];
-            for _ in 0..6 {
+            atlas.sheets = vec![[64, 712]]; // the coarse look applies
+            for _ in 0..1 + round % 6 {
                 let p = corner(&mut rng);
                 if places.iter().all(|q| (p - *q).abs().max_element() >= 3.0) {
                     places.push(p);
@@ -134,6 +162,9 @@ mod tests {
             }
             for p in &places {
                 atlas = join(&atlas, &sheet(3, 3, *p));
+            }
+            if places.len() < 2 {
+                continue;
             }
             let mut expected = WIDEST;
             for (i, p) in places.iter().enumerate() {

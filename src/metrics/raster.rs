@@ -102,18 +102,24 @@ pub(super) fn centre_spans(t: &[DVec2; 3], rows: &Range<i64>, width: u32, mut ro
 }
 
 /// Part of a texel by which a triangle must enter it to count as touching it: what float32 UVs on a sheet of 8192 leave uncertain.
-const TOUCH: f64 = 1e-3;
+pub(super) const TOUCH: f64 = 1e-3;
 
-/// Calls `row(y, x0, x1)` for each row in which the triangle touches the texels `x0..x1`.
-pub(super) fn touched_spans(t: &[DVec2; 3], rows: &Range<i64>, width: u32, mut row: impl FnMut(i64, i64, i64)) {
+/// Calls `row(y, x0, x1)` for each row in which the triangle touches the texels `x0..x1`: enters them by more than `touch`.
+pub(super) fn touched_spans(
+    t: &[DVec2; 3],
+    touch: f64,
+    rows: &Range<i64>,
+    width: u32,
+    mut row: impl FnMut(i64, i64, i64),
+) {
     let low = t[0].y.min(t[1].y).min(t[2].y);
     let high = t[0].y.max(t[1].y).max(t[2].y);
-    let first = ((low + TOUCH).floor() as i64).max(rows.start);
-    let last = ((high - TOUCH).ceil() as i64 - 1).min(rows.end - 1);
+    let first = ((low + touch).floor() as i64).max(rows.start);
+    let last = ((high - touch).ceil() as i64 - 1).min(rows.end - 1);
     for y in first..=last {
-        if let Some((x0, x1)) = slab(t, y as f64 + TOUCH, (y + 1) as f64 - TOUCH) {
-            let x0 = ((x0 + TOUCH).floor() as i64).max(0);
-            let x1 = ((x1 - TOUCH).ceil() as i64).min(i64::from(width));
+        if let Some((x0, x1)) = slab(t, y as f64 + touch, (y + 1) as f64 - touch) {
+            let x0 = ((x0 + touch).floor() as i64).max(0);
+            let x1 = ((x1 - touch).ceil() as i64).min(i64::from(width));
             if x0 < x1 {
                 row(y, x0, x1);
             }
