@@ -4,6 +4,10 @@
 //! OBJ is turned into one at the door, so that there is one way through the house. [`TextureSet`] is one
 //! Atlas with what is needed to bake its images and write it back.
 
+pub mod limits;
+pub mod load;
+pub mod sample;
+
 use serde_json::Value;
 
 use crate::atlas::Atlas;
