@@ -96,7 +96,11 @@ fn zip(file: File) -> Result<()> {
         let name = name.to_ascii_lowercase();
         [".glb", ".gltf", ".obj"].iter().any(|e| name.ends_with(e))
     };
-    if archive.file_names().any(|name| name.is_ok_and(|name| model(&name))) { Ok(()) } else { Err(Failure::model("the zip holds no .glb, .gltf or .obj")) }
+    if archive.file_names().any(|name| name.is_ok_and(|name| model(&name))) {
+        Ok(())
+    } else {
+        Err(Failure::model("the zip holds no .glb, .gltf or .obj"))
+    }
 }
 
 #[cfg(test)]
