@@ -23,6 +23,9 @@ pub const ARCHIVE: &str = "result.zip";
 /// Characters that need no escape in the last segment of a path (RFC 3986, unreserved).
 const SEGMENT: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
+/// End of the name of a worker's file that is not locked yet.
+const YOUNG: &str = ".new";
+
 /// What was uploaded, by the number of its file.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Manifest {
@@ -65,8 +68,43 @@ impl Files {
         self.root.join("queue.sqlite")
     }
 
-    /// The file that a worker's process holds locked while it lives.
-    pub fn worker(&self, owner: &str) -> PathBuf {
+    /// Registers a worker: a file that its process holds locked while it lives, whatever way it ends.
+    ///
+    /// # Errors
+    /// `internal` with the system's words.
+    pub fn register_worker(&self, owner: &str) -> Result<fs::File> {
+        let (young, path) = (self.worker(&format!("{owner}{YOUNG}")), self.worker(owner));
+        let lock = || {
+            let file = fs::File::create_new(&young)?;
+            file.lock()?;
+            // Others look only at the final name, so they never see it unlocked while its process lives.
+            fs::rename(&young, &path)?;
+            Ok(file)
+        };
+        lock().map_err(|e| disk(&path, &e))
+    }
+
+    /// Whether the process of a worker is gone.
+    pub fn worker_is_gone(&self, owner: &str) -> bool {
+        match fs::File::open(self.worker(owner)) {
+            Ok(file) => file.try_lock().is_ok(),
+            Err(error) => error.kind() == io::ErrorKind::NotFound,
+        }
+    }
+
+    /// Removes the files of workers that are gone.
+    pub fn forget_workers(&self) {
+        for entry in fs::read_dir(self.root.join("workers")).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            if let Some(owner) = name.to_str().filter(|n| !n.ends_with(YOUNG))
+                && self.worker_is_gone(owner)
+            {
+                let _ = fs::remove_file(entry.path());
+            }
+        }
+    }
+
+    fn worker(&self, owner: &str) -> PathBuf {
         self.root.join("workers").join(owner)
     }
 
@@ -281,6 +319,20 @@ mod tests {
         assert_eq!(text, "two");
         files.remove_attempt("j", 1);
         assert!(!files.artifact("j", 1, 1).exists() && files.artifact("j", 2, 1).exists());
+    }
+
+    #[test]
+    fn workers_are_gone_when_their_lock_is() {
+        let root = tempfile::tempdir().unwrap();
+        let files = Files::open(root.path()).unwrap();
+        let lock = files.register_worker("w").unwrap();
+        assert!(!files.worker_is_gone("w") && files.worker_is_gone("other"));
+        files.forget_workers();
+        assert!(files.worker("w").exists());
+        drop(lock);
+        assert!(files.worker_is_gone("w"));
+        files.forget_workers();
+        assert!(!files.worker("w").exists());
     }
 
     #[test]

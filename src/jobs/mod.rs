@@ -54,9 +54,7 @@ impl Jobs {
         let files = Files::open(data)?;
         let queue = Queue::open(&files.queue()).await?;
         let owner = record::new_id()?;
-        let path = files.worker(&owner);
-        let lock = File::create_new(&path).map_err(|e| files::disk(&path, &e))?;
-        lock.lock().map_err(|e| files::disk(&path, &e))?;
+        let lock = files.register_worker(&owner)?;
         let jobs = Jobs {
             queue,
             files,

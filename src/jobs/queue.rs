@@ -382,3 +382,124 @@ fn job(row: &SqliteRow) -> Result<Job> {
         artifacts: parsed(row, "artifacts")?,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    const LEASE: Duration = Duration::from_secs(60);
+
+    async fn queue() -> (tempfile::TempDir, Queue) {
+        let root = tempfile::tempdir().unwrap();
+        let queue = Queue::open(&root.path().join("queue.sqlite")).await.unwrap();
+        (root, queue)
+    }
+
+    async fn submit(queue: &Queue, id: &str) {
+        let options = json!({"recipe": "pack", "metadata": {"a": 1}});
+        queue.submit(id, &options, &Manifest::default(), 100).await.unwrap();
+    }
+
+    fn succeeded() -> End {
+        End {
+            state: State::Succeeded,
+            error: None,
+            artifacts: Vec::new(),
+            progress: Progress { fraction: 1.0, ..Progress::default() },
+            timings: Vec::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+    async fn every_job_is_claimed_once_and_in_order() {
+        let (_root, queue) = queue().await;
+        for n in 0..40 {
+            submit(&queue, &format!("{n:02}")).await;
+        }
+        let workers = (0..4).map(|w| {
+            let queue = queue.clone();
+            tokio::spawn(async move {
+                let mut mine = Vec::new();
+                while let Some(claim) = queue.claim(&format!("w{w}"), LEASE).await.unwrap() {
+                    mine.push(claim.id);
+                }
+                mine
+            })
+        });
+        let mut all = Vec::new();
+        for worker in workers.collect::<Vec<_>>() {
+            let mine = worker.await.unwrap();
+            assert!(mine.is_sorted(), "{mine:?}");
+            all.extend(mine);
+        }
+        all.sort();
+        assert_eq!(all, (0..40).map(|n| format!("{n:02}")).collect::<Vec<_>>());
+    }
+
+    #[tokio::test]
+    async fn a_worker_that_lost_its_job_changes_nothing() {
+        let (_root, queue) = queue().await;
+        submit(&queue, "j").await;
+        let stale = queue.claim("a", LEASE).await.unwrap().unwrap();
+        assert_eq!(queue.recover(Some("a")).await.unwrap(), [("j".to_owned(), State::Queued)]);
+        let fresh = queue.claim("b", LEASE).await.unwrap().unwrap();
+        assert_eq!((stale.attempt, fresh.attempt), (1, 2));
+        assert_eq!(queue.beat(&stale, LEASE, &Progress::default(), &[]).await, Ok(Beat::Lost));
+        assert_eq!(queue.finish(&stale, &succeeded(), LEASE).await, Ok(false));
+        assert_eq!(queue.release(&stale).await, Ok(false));
+        assert_eq!(queue.beat(&fresh, LEASE, &Progress::default(), &[]).await, Ok(Beat::Held));
+        assert_eq!(queue.finish(&fresh, &succeeded(), LEASE).await, Ok(true));
+        assert_eq!(queue.finish(&fresh, &End { state: State::Failed, ..succeeded() }, LEASE).await, Ok(false));
+        let job = queue.get("j").await.unwrap().unwrap();
+        assert_eq!((job.state, job.attempt, job.metadata["a"].as_i64()), (State::Succeeded, 2, Some(1)));
+    }
+
+    #[tokio::test]
+    async fn a_silent_worker_loses_its_job_and_a_poisonous_job_is_given_up() {
+        let (_root, queue) = queue().await;
+        submit(&queue, "j").await;
+        for death in 1..=3 {
+            queue.claim("a", Duration::ZERO).await.unwrap().unwrap();
+            tokio::time::sleep(Duration::from_millis(5)).await;
+            let wanted = if death < 3 { State::Queued } else { State::Failed };
+            assert_eq!(queue.recover(None).await.unwrap(), [("j".to_owned(), wanted)]);
+        }
+        let job = queue.get("j").await.unwrap().unwrap();
+        assert_eq!(job.error.unwrap().code, Code::Internal);
+        assert!(queue.claim("a", LEASE).await.unwrap().is_none());
+    }
+
+    #[tokio::test]
+    async fn cancelling_waits_for_nobody_and_wins_over_a_late_result() {
+        let (_root, queue) = queue().await;
+        submit(&queue, "runs").await;
+        submit(&queue, "waits").await;
+        let claim = queue.claim("a", LEASE).await.unwrap().unwrap();
+        assert_eq!(queue.get("waits").await.unwrap().unwrap().queue_position, Some(1));
+        assert_eq!(queue.cancel("waits").await, Ok(Canceled::AtOnce));
+        assert_eq!(queue.cancel("waits").await, Ok(Canceled::Final));
+        assert_eq!(queue.cancel("none").await, Ok(Canceled::Unknown));
+        assert_eq!(queue.cancel("runs").await, Ok(Canceled::Asked));
+        assert_eq!(queue.beat(&claim, LEASE, &Progress::default(), &[]).await, Ok(Beat::Cancel));
+        assert_eq!(queue.finish(&claim, &succeeded(), LEASE).await, Ok(false));
+        assert_eq!(queue.finish(&claim, &End { state: State::Canceled, ..succeeded() }, LEASE).await, Ok(true));
+    }
+
+    #[tokio::test]
+    async fn a_full_queue_takes_no_more_and_old_jobs_expire() {
+        let (_root, queue) = queue().await;
+        submit(&queue, "a").await;
+        let full = queue.submit("b", &json!({}), &Manifest::default(), 1).await.unwrap_err();
+        assert_eq!(full.code, Code::QueueFull);
+        assert_eq!(queue.expire(Moment::now().minus(LEASE)).await.unwrap(), []);
+        assert_eq!(queue.expire(Moment::now().plus(LEASE)).await.unwrap(), [("a".to_owned(), State::Expired)]);
+        let (jobs, next) = queue.list(Some(State::Expired), None, 1).await.unwrap();
+        assert_eq!((jobs.len(), next), (1, Some(1)));
+        assert_eq!(queue.list(None, next, 1).await.unwrap().0.len(), 0);
+        assert_eq!(queue.forget(Moment::now().plus(LEASE)).await, Ok(1));
+        assert_eq!(queue.knows("a").await, Ok(false));
+    }
+}

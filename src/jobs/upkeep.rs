@@ -1,6 +1,5 @@
 //! What the queue does by itself: jobs of dead workers run again, jobs that waited too long expire, what is old goes.
 
-use std::fs::File;
 use std::time::Duration;
 
 use sqlx::Row;
@@ -122,14 +121,8 @@ impl Jobs {
     pub async fn recover(&self) -> Result<()> {
         let mut back = self.queue.recover(None).await?;
         for owner in self.queue.owners().await?.iter().filter(|o| **o != self.owner) {
-            let path = self.files.worker(owner);
-            let gone = match File::open(&path) {
-                Ok(lock) => lock.try_lock().is_ok(),
-                Err(error) => error.kind() == std::io::ErrorKind::NotFound,
-            };
-            if gone {
+            if self.files.worker_is_gone(owner) {
                 back.extend(self.queue.recover(Some(owner)).await?);
-                let _ = std::fs::remove_file(&path);
             }
         }
         for (job, state) in back {
@@ -160,6 +153,7 @@ impl Jobs {
         for job in self.queue.expire_artifacts().await? {
             self.files.remove_artifacts(&job);
         }
+        self.files.forget_workers();
         self.queue.forget(now.minus(self.limits.keep_jobs)).await?;
         for job in self.files.untouched(LEFT_OVER) {
             if !self.queue.knows(&job).await? {

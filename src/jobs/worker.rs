@@ -61,7 +61,6 @@ impl Jobs {
                 () = self.shutdown.cancelled() => {}
             }
         }
-        let _ = std::fs::remove_file(self.files.worker(&self.owner));
     }
 
     async fn run(self: &Arc<Self>, claim: Claim) {
