@@ -1,1 +1,268 @@
-//! config.
+//! Every flag, environment variable and limit, with its default.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Refines the texture atlases of 3D models.
+#[derive(Debug, Parser)]
+#[command(name = "intarsia", version, about, propagate_version = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Run the HTTP service.
+    Serve(Serve),
+    /// Refine a model: repack its charts, resample its textures.
+    Refine(Refine),
+    /// Show the figures of every atlas in a model; nothing is written.
+    Inspect(Inspect),
+    /// Write a model made by code, to try things on.
+    Sample(Sample),
+    /// Print the OpenAPI document of the service.
+    Openapi,
+}
+
+/// `intarsia serve`: every flag is also an environment variable.
+#[derive(Debug, Clone, Args)]
+pub struct Serve {
+    /// Address to listen on; port 0 takes a free one.
+    #[arg(long, env = "INTARSIA_LISTEN", default_value = "127.0.0.1:8080")]
+    pub listen: SocketAddr,
+    /// Folder of the queue, the uploads and the results.
+    #[arg(long, env = "INTARSIA_DATA_DIR", default_value = "./intarsia-data")]
+    pub data_dir: PathBuf,
+    /// Threads that compute; 0 takes all cores.
+    #[arg(long, env = "INTARSIA_THREADS", default_value_t = 0)]
+    pub threads: usize,
+    /// Origin that browsers may call from, or `*`; may be given several times.
+    #[arg(long, env = "INTARSIA_ALLOW_ORIGIN", value_delimiter = ',')]
+    pub allow_origin: Vec<String>,
+    /// Let anybody list all jobs (GET /v1/jobs).
+    #[arg(long, env = "INTARSIA_LIST_JOBS")]
+    pub list_jobs: bool,
+    /// Form of the log lines on stderr.
+    #[arg(long, env = "INTARSIA_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
+    pub log_format: LogFormat,
+    /// Least severe log lines that are shown: error, warn, info, debug, trace or off.
+    #[arg(long, env = "INTARSIA_LOG_LEVEL", default_value = "info")]
+    pub log_level: tracing::level_filters::LevelFilter,
+    /// What is refused, and what is kept how long.
+    #[command(flatten)]
+    pub limits: Limits,
+}
+
+/// Form of log lines.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// What the service refuses, and what it keeps how long.
+#[derive(Debug, Clone, PartialEq, Eq, Args)]
+pub struct Limits {
+    /// Bytes of one submission, all files together.
+    #[arg(long, env = "INTARSIA_MAX_UPLOAD", default_value = "1GiB", value_parser = parse_size)]
+    pub max_upload: u64,
+    /// Files of one submission.
+    #[arg(long, env = "INTARSIA_MAX_FILES", default_value_t = 1000)]
+    pub max_files: usize,
+    /// Submissions that are received at the same time; further ones are told to come back.
+    #[arg(long, env = "INTARSIA_MAX_UPLOADS", default_value_t = 32)]
+    pub max_uploads: usize,
+    /// Seconds (or 30s, 5m) that an upload may stand still.
+    #[arg(long, env = "INTARSIA_UPLOAD_IDLE", default_value = "60s", value_parser = parse_duration)]
+    pub upload_idle: Duration,
+    /// Jobs that wait; further ones are told to come back.
+    #[arg(long, env = "INTARSIA_MAX_QUEUED", default_value_t = 1000)]
+    pub max_queued: u32,
+    /// Texels of one image.
+    #[arg(long, env = "INTARSIA_MAX_IMAGE_PIXELS", default_value_t = 16384 * 16384)]
+    pub max_image_pixels: u64,
+    /// Triangles of one model.
+    #[arg(long, env = "INTARSIA_MAX_TRIANGLES", default_value_t = 20_000_000)]
+    pub max_triangles: u64,
+    /// Bytes of a model's JSON.
+    #[arg(long, env = "INTARSIA_MAX_JSON", default_value = "256MiB", value_parser = parse_size)]
+    pub max_json: u64,
+    /// How long a job may wait before it expires.
+    #[arg(long, env = "INTARSIA_MAX_WAIT", default_value = "1d", value_parser = parse_duration)]
+    pub max_wait: Duration,
+    /// How long artifacts are kept after a job ends.
+    #[arg(long, env = "INTARSIA_KEEP_ARTIFACTS", default_value = "7d", value_parser = parse_duration)]
+    pub keep_artifacts: Duration,
+    /// How long a job can be asked for after it ends; at least as long as its artifacts.
+    #[arg(long, env = "INTARSIA_KEEP_JOBS", default_value = "30d", value_parser = parse_duration)]
+    pub keep_jobs: Duration,
+}
+
+impl Limits {
+    /// The part that the readers of models enforce.
+    pub fn asset(&self) -> crate::asset::Limits {
+        crate::asset::Limits {
+            max_input_bytes: self.max_upload,
+            max_image_pixels: self.max_image_pixels,
+            max_triangles: self.max_triangles,
+            max_json_bytes: self.max_json,
+        }
+    }
+}
+
+/// Options of a job, as the command line gives them.
+#[derive(Debug, Clone, Default, Args)]
+pub struct OptionFlags {
+    /// A preset, a stage, or stages joined by commas.
+    #[arg(long, value_name = "NAME")]
+    pub recipe: Option<String>,
+    /// Options as JSON.
+    #[arg(long, value_name = "FILE", conflicts_with = "recipe")]
+    pub options: Option<PathBuf>,
+    /// One option by its dotted path, such as pack.rotation=any; wins over the file; may be given several times.
+    #[arg(long, value_name = "PATH=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// `intarsia refine`.
+#[derive(Debug, Clone, Args)]
+pub struct Refine {
+    /// Models (.glb, .gltf, .obj, .zip); other files are taken as files that they name.
+    #[arg(required = true)]
+    pub input: Vec<PathBuf>,
+    /// The refined model: .glb, or .gltf with its files beside it.
+    #[arg(short, long)]
+    pub output: PathBuf,
+    /// What to do with it.
+    #[command(flatten)]
+    pub options: OptionFlags,
+    /// Write the report here.
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+    /// Write pictures of the atlases, before and after, into this folder.
+    #[arg(long, value_name = "DIR")]
+    pub pictures: Option<PathBuf>,
+    /// Print the report to stdout.
+    #[arg(long)]
+    pub json: bool,
+    /// Threads that compute; 0 takes all cores.
+    #[arg(long, env = "INTARSIA_THREADS", default_value_t = 0)]
+    pub threads: usize,
+    /// No progress and no summary on stderr; warnings and errors stay.
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+/// `intarsia inspect`.
+#[derive(Debug, Clone, Args)]
+pub struct Inspect {
+    /// The model (.glb, .gltf, .obj, .zip); further files are taken as files that it names.
+    #[arg(required = true)]
+    pub input: Vec<PathBuf>,
+    /// Print the figures as JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// A bound on a figure, such as 'atlas.packing_efficiency>=0.8'; exit code 4 where it is not met.
+    #[arg(long, value_name = "PATH>=N")]
+    pub require: Vec<String>,
+    /// What is one atlas: options of `refine`.
+    #[command(flatten)]
+    pub options: OptionFlags,
+    /// Threads that compute; 0 takes all cores.
+    #[arg(long, env = "INTARSIA_THREADS", default_value_t = 0)]
+    pub threads: usize,
+}
+
+/// `intarsia sample`.
+#[derive(Debug, Clone, Args)]
+pub struct Sample {
+    /// Name of the model; without it, the names are listed.
+    pub name: Option<String>,
+    /// The file to write (.glb).
+    #[arg(short, long, requires = "name")]
+    pub output: Option<PathBuf>,
+}
+
+/// Bytes from `500`, `64KB`, `1.5GiB`: decimal or binary units, at most 2^60.
+pub fn parse_size(text: &str) -> Result<u64, String> {
+    let (number, unit) = number_and_unit(text)?;
+    let factor: f64 = match unit.to_ascii_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "k" | "kib" => 1024.0,
+        "m" | "mib" => 1024.0 * 1024.0,
+        "g" | "gib" => 1024.0 * 1024.0 * 1024.0,
+        "t" | "tib" => 1024.0 * 1024.0 * 1024.0 * 1024.0,
+        "kb" => 1e3,
+        "mb" => 1e6,
+        "gb" => 1e9,
+        "tb" => 1e12,
+        other => return Err(format!("`{other}` is no unit of size; use B, KiB, MiB, GiB, TiB, KB, MB, GB or TB")),
+    };
+    let bytes = number * factor;
+    if bytes > (1u64 << 60) as f64 { Err(format!("`{text}` is too large")) } else { Ok(bytes as u64) }
+}
+
+/// A time span from `90` (seconds), `500ms`, `5m`, `12h`, `7d`: at most 100 years.
+pub fn parse_duration(text: &str) -> Result<Duration, String> {
+    let (number, unit) = number_and_unit(text)?;
+    let factor = match unit {
+        "ms" => 1e-3,
+        "" | "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        "d" => 86400.0,
+        other => return Err(format!("`{other}` is no unit of time; use ms, s, m, h or d")),
+    };
+    let seconds = number * factor;
+    if seconds > 3.16e9 { Err(format!("`{text}` is too long")) } else { Ok(Duration::from_secs_f64(seconds)) }
+}
+
+fn number_and_unit(text: &str) -> Result<(f64, &str), String> {
+    let text = text.trim();
+    let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(end);
+    let number = number.parse().map_err(|_| format!("`{text}` does not start with a number"))?;
+    Ok((number, unit.trim()))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn sizes_and_spans_have_units() {
+        assert_eq!(parse_size("1GiB"), Ok(1 << 30));
+        assert_eq!(parse_size("1.5 kb"), Ok(1500));
+        assert_eq!(parse_size("12"), Ok(12));
+        assert!(parse_size("-1").is_err() && parse_size("9999999TB").is_err() && parse_size("1 acre").is_err());
+        assert_eq!(parse_duration("500ms"), Ok(Duration::from_millis(500)));
+        assert_eq!(parse_duration("7d"), Ok(Duration::from_secs(604_800)));
+        assert!(parse_duration("").is_err() && parse_duration("1 fortnight").is_err());
+    }
+
+    #[test]
+    fn every_serve_flag_is_an_environment_variable() {
+        let cli = Cli::command();
+        let serve = cli.find_subcommand("serve").unwrap();
+        for arg in serve.get_arguments().filter(|a| !["help", "version"].contains(&a.get_id().as_str())) {
+            let long = arg.get_long().unwrap().replace('-', "_").to_uppercase();
+            let env = arg.get_env().map(|e| e.to_string_lossy().into_owned());
+            assert_eq!(env, Some(format!("INTARSIA_{long}")));
+        }
+    }
+}

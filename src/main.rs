@@ -1,3 +1,32 @@
-//! The command line.
+//! The command line: serve, refine, inspect, sample, openapi.
+//!
+//! Exit codes: 0 done; 1 internal; 2 usage; 3 the input is at fault; 4 a requirement is not met.
 
-fn main() {}
+mod commands;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use intarsia::config::{Cli, Command};
+use intarsia::error::Code;
+
+fn main() -> ExitCode {
+    let done = match Cli::parse().command {
+        Command::Serve(arguments) => commands::serve::run(&arguments),
+        Command::Refine(arguments) => commands::refine::run(&arguments),
+        Command::Inspect(arguments) => commands::inspect::run(&arguments),
+        Command::Sample(arguments) => commands::sample::run(&arguments),
+        Command::Openapi => commands::openapi::run(),
+    };
+    let Err(failure) = done else { return ExitCode::SUCCESS };
+    match &failure.pointer {
+        Some(pointer) if !pointer.is_empty() => eprintln!("error: {failure} (at {pointer})"),
+        _ => eprintln!("error: {failure}"),
+    }
+    ExitCode::from(match failure.code {
+        Code::Internal | Code::Canceled => 1,
+        Code::InvalidOptions | Code::InvalidRequest => 2,
+        Code::RequirementNotMet => 4,
+        _ => 3,
+    })
+}

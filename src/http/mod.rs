@@ -1,1 +1,36 @@
-//! http.
+//! The service: routes on one screen ([`router`]), one file a resource, problem details.
+
+mod artifacts;
+mod door;
+mod events;
+mod health;
+mod jobs;
+pub mod problem;
+mod recipes;
+pub mod router;
+mod upload;
+
+use std::sync::Arc;
+
+use tokio::sync::Semaphore;
+
+use crate::jobs::Jobs;
+
+/// What every handler may use.
+#[derive(Clone)]
+pub struct App {
+    /// The jobs.
+    pub jobs: Arc<Jobs>,
+    /// Bounds the submissions that are received at the same time.
+    pub(crate) uploads: Arc<Semaphore>,
+    /// Whether anybody may list all jobs.
+    pub(crate) list_jobs: bool,
+}
+
+impl App {
+    /// The service over `jobs`.
+    pub fn new(jobs: Arc<Jobs>, list_jobs: bool) -> Self {
+        let uploads = Arc::new(Semaphore::new(jobs.limits.max_uploads.min(Semaphore::MAX_PERMITS)));
+        App { jobs, uploads, list_jobs }
+    }
+}

@@ -17,8 +17,10 @@ pub struct Unmet {
     pub path: String,
     /// What was asked, in words: `min 0.8`.
     pub wanted: String,
-    /// What was found, in words: a number with its atlas, or why the figure is undefined.
-    pub got: String,
+    /// What was found; null where the figure is undefined.
+    pub got: Option<f64>,
+    /// Which atlas it was found in, or why it is undefined.
+    pub detail: Option<String>,
 }
 
 /// Every path that `require` may name.
@@ -86,23 +88,26 @@ pub fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result
     for (path, wanted) in require {
         let values = lookup(report, path)?;
         for bound in bounds(wanted) {
-            // The worst so far: how far from the bound (infinite where undefined), and in words.
-            let mut worst: Option<(f64, String)> = None;
+            // The worst so far: how far from the bound (infinite where undefined), the figure, and which or why.
+            let mut worst: Option<(f64, Option<f64>, Option<String>)> = None;
             if values.is_empty() {
-                worst = Some((f64::INFINITY, "no atlas was refined".to_owned()));
+                worst = Some((f64::INFINITY, None, Some("no atlas was refined".to_owned())));
             }
             for (atlas, before, after) in &values {
-                let (miss, got) = match bound.miss(before, after) {
-                    Ok((miss, got)) => (miss, format!("{got}")),
-                    Err(reason) => (f64::INFINITY, format!("undefined: {reason}")),
+                let of = atlas.map(|id| format!("atlas {id}"));
+                let (miss, got, detail) = match bound.miss(before, after) {
+                    Ok((miss, got)) => (miss, Some(got), of),
+                    Err(reason) => {
+                        let detail = of.map_or_else(|| reason.clone(), |of| format!("{of}: {reason}"));
+                        (f64::INFINITY, None, Some(detail))
+                    }
                 };
                 if miss > 0.0 && worst.as_ref().is_none_or(|w| miss > w.0) {
-                    let of = atlas.map(|id| format!(" (atlas {id})")).unwrap_or_default();
-                    worst = Some((miss, got + &of));
+                    worst = Some((miss, got, detail));
                 }
             }
-            if let Some((_, got)) = worst {
-                failures.push(Unmet { path: path.clone(), wanted: format!("{} {}", bound.name, bound.value), got });
+            if let Some((_, got, detail)) = worst {
+                failures.push(Unmet { path: path.clone(), wanted: format!("{} {}", bound.name, bound.value), got, detail });
             }
         }
     }
@@ -184,9 +189,10 @@ mod tests {
         let min = require("atlas.packing_efficiency", Requirement { min: Some(0.7), ..Requirement::default() });
         let failures = unmet(&report(&[Some(0.9), Some(0.6), Some(0.65)]), &min).unwrap_or_default();
         assert_eq!(failures.len(), 1);
-        assert_eq!((failures[0].wanted.as_str(), failures[0].got.as_str()), ("min 0.7", "0.6 (atlas 1)"));
+        assert_eq!((failures[0].wanted.as_str(), failures[0].got), ("min 0.7", Some(0.6)));
+        assert_eq!(failures[0].detail.as_deref(), Some("atlas 1"));
         let failures = unmet(&report(&[Some(0.9), None]), &min).unwrap_or_default();
-        assert_eq!(failures[0].got, "undefined: no box (atlas 1)");
+        assert_eq!((failures[0].got, failures[0].detail.as_deref()), (None, Some("atlas 1: no box")));
         assert_eq!(unmet(&report(&[Some(0.7)]), &min), Ok(vec![]), "a bound that is just met is met");
         assert_eq!(unmet(&report(&[]), &min).map(|f| f.len()), Ok(1), "nothing refined meets nothing");
     }
@@ -195,8 +201,8 @@ mod tests {
     fn gains_and_ratios_compare_with_before() {
         let wanted = Requirement { min_gain: Some(0.3), max_ratio: Some(1.4), ..Requirement::default() };
         let failures = unmet(&report(&[]), &require("model.packing_efficiency", wanted)).unwrap_or_default();
-        let words: Vec<_> = failures.iter().map(|f| (f.wanted.as_str(), f.got.as_str())).collect();
-        assert_eq!(words, [("min_gain 0.3", "0.25"), ("max_ratio 1.4", "1.5")]);
+        let words: Vec<_> = failures.iter().map(|f| (f.wanted.as_str(), f.got)).collect();
+        assert_eq!(words, [("min_gain 0.3", Some(0.25)), ("max_ratio 1.4", Some(1.5))]);
     }
 
     #[test]

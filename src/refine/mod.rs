@@ -3,6 +3,7 @@
 mod check;
 pub mod options;
 mod pack;
+pub mod parse;
 mod report;
 pub mod run;
 mod stage;

@@ -1,0 +1,132 @@
+//! One file a subcommand; here what they share.
+
+pub mod inspect;
+pub mod openapi;
+mod progress;
+pub mod refine;
+pub mod sample;
+pub mod serve;
+mod table;
+
+use std::fs::File;
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use intarsia::asset::read_paths;
+use intarsia::config::OptionFlags;
+use intarsia::error::{Code, Failure, Result};
+use intarsia::metrics::Unmet;
+use intarsia::refine::options::{Options, Output};
+use intarsia::refine::parse;
+use intarsia::refine::run::Input;
+use serde_json::{Map, Value};
+
+/// Reads the models on the command line, each with the files that it names; inputs that are no model go with all of them.
+fn read_input(paths: &[PathBuf]) -> Result<Input> {
+    let is_model = |path: &&PathBuf| {
+        let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        matches!(extension.as_str(), "glb" | "gltf" | "obj" | "zip")
+    };
+    let models: Vec<&PathBuf> = paths.iter().filter(is_model).collect();
+    let side: Vec<PathBuf> = paths.iter().filter(|p| !is_model(p)).cloned().collect();
+    for path in paths {
+        let failed =
+            |why: &dyn std::fmt::Display| Failure::new(Code::MissingFile, format!("{}: {why}", path.display()));
+        let found = std::fs::metadata(path).map_err(|e| failed(&e))?;
+        if !found.is_file() {
+            return Err(failed(&"not a file"));
+        }
+    }
+    if models.is_empty() {
+        return Err(Failure::new(Code::InvalidRequest, "no input is a model (.glb, .gltf, .obj, .zip)"));
+    }
+    let read = |model: &PathBuf| read_paths(&[std::slice::from_ref(model), side.as_slice()].concat());
+    let models = models.into_iter().map(read).collect::<Result<_>>()?;
+    Ok(Input { models, ..Input::default() })
+}
+
+/// Tells the requirements that are not met, if any, and fails with `message` then.
+fn judge(failures: &[Unmet], message: &str) -> Result<()> {
+    for failure in failures {
+        let got = failure.got.map_or("undefined".to_owned(), |g| g.to_string());
+        let detail = failure.detail.as_ref().map(|d| format!(" ({d})")).unwrap_or_default();
+        eprintln!("not met: {} wanted {}, got {got}{detail}", failure.path, failure.wanted);
+    }
+    if failures.is_empty() { Ok(()) } else { Err(Failure::new(Code::RequirementNotMet, message)) }
+}
+
+/// The options of the flags: the file, then the recipe, then each `--set`. Every problem is told.
+fn read_options(flags: &OptionFlags, output: Option<Output>) -> Result<Options> {
+    let mut value = Value::Object(Map::new());
+    if let Some(path) = &flags.options {
+        let failed =
+            |why: &dyn std::fmt::Display| Failure::new(Code::InvalidOptions, format!("{}: {why}", path.display()));
+        let text = std::fs::read(path).map_err(|e| failed(&e))?;
+        value = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
+    }
+    let recipe = flags.recipe.as_deref().map(parse::recipe_named);
+    let output = output.map(|o| serde_json::to_value(o).unwrap_or_default());
+    if let Some(map) = value.as_object_mut() {
+        map.extend(recipe.map(|r| ("recipe".to_owned(), r)));
+        map.extend(output.map(|o| ("output".to_owned(), o)));
+    }
+    let mut problems = Vec::new();
+    for assignment in &flags.set {
+        problems.extend(parse::set(&mut value, assignment).err());
+    }
+    match parse::options(&value) {
+        Ok(options) if problems.is_empty() => return Ok(options),
+        Ok(_) => {}
+        Err(more) => problems.extend(more),
+    }
+    for problem in problems.iter().skip(1) {
+        eprintln!("error: {} (at {})", problem.message, problem.pointer);
+    }
+    problems.truncate(1);
+    Err(parse::failure(&problems))
+}
+
+/// Writes a file so that it is there whole or not at all: beside its place first, then renamed.
+fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    let failed = |e: std::io::Error| match e.kind() {
+        ErrorKind::NotFound => {
+            Failure::new(Code::InvalidRequest, format!("{}: the folder does not exist", path.display()))
+        }
+        _ => Failure::internal(format!("{}: {e}", path.display())),
+    };
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut file = tempfile::Builder::new().prefix(".intarsia-").suffix(".tmp").tempfile_in(folder).map_err(failed)?;
+    file.write_all(bytes).map_err(failed)?;
+    file.as_file().sync_all().map_err(failed)?;
+    share(file.as_file()).map_err(failed)?;
+    file.persist(path).map_err(|e| failed(e.error))?;
+    Ok(())
+}
+
+/// Temporary files are their owner's only; a result is readable as any new file.
+#[cfg(unix)]
+fn share(file: &File) -> std::io::Result<()> {
+    use std::os::unix::fs::PermissionsExt;
+    file.set_permissions(std::fs::Permissions::from_mode(0o644))
+}
+
+#[cfg(not(unix))]
+fn share(_: &File) -> std::io::Result<()> {
+    Ok(())
+}
+
+/// Prints to stdout; a reader that has gone away is no error.
+fn print(text: &str) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Failure::internal(format!("stdout: {e}"))),
+        _ => Ok(()),
+    }
+}
+
+/// JSON as people read it, with a line end.
+fn pretty(value: &Value) -> String {
+    let mut text = serde_json::to_string_pretty(value).unwrap_or_default();
+    text.push('\n');
+    text
+}

@@ -1,0 +1,80 @@
+//! `intarsia serve`: the HTTP service.
+
+use std::time::Duration;
+
+use intarsia::config::{LogFormat, Serve};
+use intarsia::error::{Code, Failure, Result};
+use intarsia::http::App;
+use intarsia::http::router::router;
+use intarsia::jobs::Jobs;
+use tokio::net::TcpListener;
+use tokio::time::timeout;
+
+/// How long running requests and the running job may take to end when the service is told to stop.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Serves until it is told to stop (SIGINT, SIGTERM). The running job then goes back to the queue.
+pub fn run(arguments: &Serve) -> Result<()> {
+    log(arguments);
+    // The runtime only moves bytes; what computes has the rayon pool.
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(|e| Failure::internal(format!("no runtime: {e}")))?;
+    let done = runtime.block_on(serve(arguments));
+    runtime.shutdown_timeout(Duration::from_secs(1));
+    done
+}
+
+async fn serve(arguments: &Serve) -> Result<()> {
+    let jobs = Jobs::open(&arguments.data_dir, arguments.threads, arguments.limits.clone()).await?;
+    let service = router(App::new(jobs.clone(), arguments.list_jobs), &arguments.allow_origin)?;
+    let failed =
+        |e: std::io::Error| Failure::new(Code::InvalidRequest, format!("cannot listen on {}: {e}", arguments.listen));
+    let listener = TcpListener::bind(arguments.listen).await.map_err(failed)?;
+    let address = listener.local_addr().map_err(failed)?;
+    let worker = tokio::spawn(jobs.clone().work());
+    let upkeep = tokio::spawn(jobs.clone().keep());
+    super::print(&format!("listening on http://{address}\n"))?;
+
+    let shutdown = jobs.shutdown.clone();
+    tokio::spawn(async move {
+        told_to_stop().await;
+        tracing::info!("stopping");
+        shutdown.cancel();
+    });
+    let shutdown = jobs.shutdown.clone();
+    let server = tokio::spawn(async move {
+        axum::serve(listener, service).with_graceful_shutdown(async move { shutdown.cancelled().await }).await
+    });
+    jobs.shutdown.cancelled().await;
+    // Whatever does not end in time is cut off: the queue is made for that.
+    let _ = timeout(PATIENCE, async { tokio::join!(worker, upkeep, server) }).await;
+    Ok(())
+}
+
+#[cfg(unix)]
+async fn told_to_stop() {
+    use tokio::signal::unix::{SignalKind, signal};
+    let Ok(mut terminate) = signal(SignalKind::terminate()) else { return std::future::pending().await };
+    tokio::select! {
+        _ = terminate.recv() => {}
+        _ = tokio::signal::ctrl_c() => {}
+    }
+}
+
+#[cfg(not(unix))]
+async fn told_to_stop() {
+    if tokio::signal::ctrl_c().await.is_err() {
+        std::future::pending().await
+    }
+}
+
+fn log(arguments: &Serve) {
+    let lines = tracing_subscriber::fmt().with_max_level(arguments.log_level).with_writer(std::io::stderr);
+    match arguments.log_format {
+        LogFormat::Text => lines.init(),
+        LogFormat::Json => lines.json().init(),
+    }
+}

@@ -1,0 +1,170 @@
+//! `/v1/jobs/{id}/artifacts/{name}`: the files of a result.
+
+use std::io::SeekFrom;
+use std::ops::RangeInclusive;
+
+use axum::body::{Body, Bytes};
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::Response;
+use futures_util::stream;
+use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
+use tokio::fs::File;
+use tokio::io::{AsyncReadExt, AsyncSeekExt};
+
+use super::App;
+use super::jobs::matches;
+use super::problem::{Answer, Problem};
+use crate::error::{Code, Failure};
+
+/// Bytes that are read at once.
+const CHUNK: usize = 128 << 10;
+
+/// The bytes of an artifact. They never change; a range of them can be asked for.
+#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/{name}", tag = "jobs",
+    params(("id" = String, Path, description = "Id of the job"), ("name" = String, Path, description = "Name of the artifact"),
+        ("Range" = Option<String>, Header, description = "One range of bytes"),
+        ("If-Range" = Option<String>, Header, description = "ETag under which `Range` holds"),
+        ("If-None-Match" = Option<String>, Header, description = "ETags that the client has")),
+    responses(
+        (status = 200, description = "The bytes", content_type = "application/octet-stream", body = Vec<u8>),
+        (status = 206, description = "The bytes of the range", content_type = "application/octet-stream", body = Vec<u8>),
+        (status = 304, description = "The client has it"),
+        (status = 404, description = "No such job or artifact", body = Problem, content_type = "application/problem+json"),
+        (status = 410, description = "The artifacts have been removed", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "The range is outside", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn fetch(
+    State(app): State<App>,
+    Path((id, name)): Path<(String, String)>,
+    headers: HeaderMap,
+) -> Answer {
+    let (entry, path) = app.jobs.artifact(&id, &name).await?;
+    let etag = format!("\"{}\"", entry.sha256);
+    let builder = Response::builder()
+        .header(header::ETAG, &etag)
+        .header(header::CACHE_CONTROL, "private, max-age=31536000, immutable")
+        .header(header::ACCEPT_RANGES, "bytes")
+        .header(header::X_CONTENT_TYPE_OPTIONS, "nosniff");
+    let built = |response: axum::http::Result<Response>| {
+        response.map_err(|e| Problem::from(Failure::internal(format!("the answer cannot be built: {e}"))))
+    };
+    if matches(&headers, &etag) {
+        return built(builder.status(StatusCode::NOT_MODIFIED).body(Body::empty()));
+    }
+    let mut file = File::open(&path).await.map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => Problem::new(Code::Gone, "the artifacts of this job have been removed"),
+        _ => crate::jobs::files::disk(&path, &e).into(),
+    })?;
+    let same = headers.get(header::IF_RANGE).is_none_or(|v| v.as_bytes() == etag.as_bytes());
+    let asked = headers.get(header::RANGE).filter(|_| same).and_then(|v| v.to_str().ok());
+    let media_type = HeaderValue::from_str(&entry.media_type)
+        .unwrap_or_else(|_| HeaderValue::from_static("application/octet-stream"));
+    let builder =
+        builder.header(header::CONTENT_TYPE, media_type).header(header::CONTENT_DISPOSITION, disposition(&entry.name));
+    let (builder, range) = match asked.map_or(Asked::All, |text| range(text, entry.bytes)) {
+        Asked::All => (builder.status(StatusCode::OK), 0..=entry.bytes.saturating_sub(1)),
+        Asked::Part(part) => {
+            let content = format!("bytes {}-{}/{}", part.start(), part.end(), entry.bytes);
+            (builder.status(StatusCode::PARTIAL_CONTENT).header(header::CONTENT_RANGE, content), part)
+        }
+        Asked::Outside => {
+            let problem = Problem::new(Code::InvalidRequest, format!("the artifact has {} bytes", entry.bytes));
+            let mut response =
+                axum::response::IntoResponse::into_response(problem.with_status(StatusCode::RANGE_NOT_SATISFIABLE));
+            if let Ok(value) = HeaderValue::from_str(&format!("bytes */{}", entry.bytes)) {
+                response.headers_mut().insert(header::CONTENT_RANGE, value);
+            }
+            return Ok(response);
+        }
+    };
+    let length = if entry.bytes == 0 { 0 } else { range.end() - range.start() + 1 };
+    file.seek(SeekFrom::Start(*range.start())).await.map_err(|e| crate::jobs::files::disk(&path, &e))?;
+    built(builder.header(header::CONTENT_LENGTH, length).body(Body::from_stream(chunks(file, length))))
+}
+
+/// `length` bytes of the file from where it stands.
+fn chunks(file: File, length: u64) -> impl stream::Stream<Item = std::io::Result<Bytes>> {
+    stream::try_unfold((file, length), |(mut file, left)| async move {
+        if left == 0 {
+            return Ok(None);
+        }
+        let mut chunk = Vec::with_capacity(CHUNK.min(usize::try_from(left).unwrap_or(CHUNK)));
+        let n = (&mut file).take(left.min(CHUNK as u64)).read_buf(&mut chunk).await?;
+        if n == 0 {
+            return Err(std::io::ErrorKind::UnexpectedEof.into());
+        }
+        Ok(Some((Bytes::from(chunk), (file, left - n as u64))))
+    })
+}
+
+/// What a `Range` header asks for.
+#[derive(Debug, PartialEq)]
+enum Asked {
+    /// Everything; also what is not understood, as RFC 9110 (14.2) wants it.
+    All,
+    Part(RangeInclusive<u64>),
+    Outside,
+}
+
+fn range(text: &str, length: u64) -> Asked {
+    let Some((first, last)) = text.strip_prefix("bytes=").and_then(|r| r.trim().split_once('-')) else {
+        return Asked::All;
+    };
+    let number = |t: &str| if t.bytes().all(|b| b.is_ascii_digit()) { t.parse::<u64>().ok() } else { None };
+    let part = match (first.is_empty(), last.is_empty()) {
+        (true, true) => return Asked::All,
+        (true, false) => match number(last) {
+            Some(0) => return Asked::Outside,
+            Some(n) => length.saturating_sub(n)..=length.saturating_sub(1),
+            None => return Asked::All,
+        },
+        (false, open) => match (number(first), if open { Some(u64::MAX) } else { number(last) }) {
+            (Some(a), Some(b)) if a <= b => a..=b.min(length.saturating_sub(1)),
+            _ => return Asked::All,
+        },
+    };
+    if *part.start() >= length { Asked::Outside } else { Asked::Part(part) }
+}
+
+/// The file name, plain where it can be and in full beside it (RFC 6266).
+fn disposition(name: &str) -> String {
+    let plain: String = name
+        .chars()
+        .map(|c| if c.is_ascii_graphic() && !matches!(c, '"' | '\\' | '/' | '%') { c } else { '_' })
+        .collect();
+    if plain == name {
+        return format!("attachment; filename=\"{plain}\"");
+    }
+    format!("attachment; filename=\"{plain}\"; filename*=UTF-8''{}", utf8_percent_encode(name, NON_ALPHANUMERIC))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_those_of_rfc_9110() {
+        assert_eq!(range("bytes=0-0", 10), Asked::Part(0..=0));
+        assert_eq!(range("bytes=2-", 10), Asked::Part(2..=9));
+        assert_eq!(range("bytes=2-99", 10), Asked::Part(2..=9));
+        assert_eq!(range("bytes=-3", 10), Asked::Part(7..=9));
+        assert_eq!(range("bytes=-30", 10), Asked::Part(0..=9));
+        for outside in ["bytes=10-", "bytes=10-12", "bytes=-0"] {
+            assert_eq!(range(outside, 10), Asked::Outside, "{outside}");
+        }
+        for all in ["bytes=3-2", "bytes=0-1,4-5", "lines=1-2", "bytes=-", "bytes=a-b", "bytes=+1-2"] {
+            assert_eq!(range(all, 10), Asked::All, "{all}");
+        }
+        assert_eq!(range("bytes=0-", 0), Asked::Outside);
+    }
+
+    #[test]
+    fn names_stay_inside_their_header() {
+        assert_eq!(disposition("model.glb"), "attachment; filename=\"model.glb\"");
+        let odd = disposition("a\"b\r\nü.png");
+        assert!(
+            odd.starts_with("attachment; filename=\"a_b___.png\"; filename*=UTF-8''a%22b%0D%0A%C3%BC%2Epng"),
+            "{odd}"
+        );
+    }
+}

@@ -1,0 +1,159 @@
+//! The cheap checks that a model passes before its job is accepted: container, lengths, JSON syntax. They read the file
+//! from the disk and hold none of it in memory; everything else is for the job to find.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use serde::de::IgnoredAny;
+
+use crate::error::{Code, Failure, Result};
+use crate::jobs::files::disk;
+
+/// Checks an uploaded model and says what it is: `glb`, `gltf`, `obj` or `zip`.
+///
+/// # Errors
+/// `invalid_model` with what is broken, `too_large` for JSON over `max_json` bytes, `unsupported_media_type` for what is
+/// no model, `internal` when the disk fails.
+pub(super) fn check(path: &Path, name: &str, max_json: u64) -> Result<&'static str> {
+    let failed = |e: std::io::Error| disk(path, &e);
+    let mut file = File::open(path).map_err(failed)?;
+    let length = file.metadata().map_err(failed)?.len();
+    if length == 0 {
+        return Err(Failure::model("the model is empty"));
+    }
+    let mut head = Vec::new();
+    (&mut file).take(64).read_to_end(&mut head).map_err(failed)?;
+    let extension = name.rsplit_once('.').map(|(_, e)| e.to_ascii_lowercase()).unwrap_or_default();
+    let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&head);
+    let first = text.iter().find(|b| !b.is_ascii_whitespace());
+    if head.starts_with(b"glTF") {
+        glb(&mut file, &head, length, max_json)?;
+        Ok("glb")
+    } else if head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06") {
+        zip(file)?;
+        Ok("zip")
+    } else if extension == "obj" {
+        Ok("obj")
+    } else if first == Some(&b'{') {
+        file.seek(SeekFrom::Start((head.len() - text.len()) as u64)).map_err(failed)?;
+        json(&mut file, length, max_json)?;
+        Ok("gltf")
+    } else {
+        match extension.as_str() {
+            "glb" => Err(Failure::model("the model is called .glb but does not start with the magic `glTF`")),
+            "gltf" => Err(Failure::model("the model is called .gltf but is not a JSON object")),
+            "zip" => Err(Failure::model("the model is called .zip but is not an archive")),
+            _ => Err(Failure::new(Code::UnsupportedMediaType, "the model is neither GLB, glTF, OBJ nor a zip of one")),
+        }
+    }
+}
+
+/// Header and first chunk of a GLB (glTF 2.0, 4.4).
+fn glb(file: &mut File, head: &[u8], length: u64, max_json: u64) -> Result<()> {
+    let word = |at: usize| {
+        let bytes = head.get(at..at + 4).and_then(|b| b.try_into().ok());
+        bytes
+            .map(u32::from_le_bytes)
+            .ok_or_else(|| Failure::model(format!("the GLB ends after {length} bytes, in its header")))
+    };
+    let (version, declared, chunk, kind) = (word(4)?, u64::from(word(8)?), u64::from(word(12)?), word(16)?);
+    if version != 2 {
+        return Err(Failure::model(format!("the GLB has version {version}; version 2 is read")));
+    }
+    if declared > length {
+        return Err(Failure::model(format!("the GLB declares {declared} bytes and has {length}: it is truncated")));
+    }
+    if kind != u32::from_le_bytes(*b"JSON") {
+        return Err(Failure::model("the first chunk of the GLB is not JSON"));
+    }
+    if chunk.saturating_add(20) > declared {
+        return Err(Failure::model(format!("the JSON chunk of the GLB declares {chunk} bytes, more than there are")));
+    }
+    file.seek(SeekFrom::Start(20)).map_err(|e| Failure::internal(e.kind().to_string()))?;
+    json(file, chunk, max_json)
+}
+
+/// One JSON object of `length` bytes, and nothing after it.
+fn json(file: &mut File, length: u64, max_json: u64) -> Result<()> {
+    if length > max_json {
+        return Err(Failure::new(
+            Code::TooLarge,
+            format!("the JSON of the model has {length} bytes; the limit is {max_json}"),
+        ));
+    }
+    let reader = BufReader::with_capacity(1 << 16, file.take(length));
+    let parsed: std::result::Result<serde::de::IgnoredAny, _> = serde_json::from_reader(reader);
+    let _: IgnoredAny = parsed.map_err(|e| Failure::model(format!("the model's JSON is broken: {e}")))?;
+    Ok(())
+}
+
+/// An archive whose directory can be read and names a model.
+fn zip(file: File) -> Result<()> {
+    let archive = zip::ZipArchive::new(BufReader::new(file));
+    let archive = archive.map_err(|e| Failure::model(format!("the zip is broken: {e}")))?;
+    let model = |name: &str| {
+        let name = name.to_ascii_lowercase();
+        [".glb", ".gltf", ".obj"].iter().any(|e| name.ends_with(e))
+    };
+    if archive.file_names().any(|name| name.is_ok_and(|name| model(&name))) {
+        Ok(())
+    } else {
+        Err(Failure::model("the zip holds no .glb, .gltf or .obj"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checked(bytes: &[u8], name: &str) -> Result<&'static str> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        check(file.path(), name, 1000)
+    }
+
+    fn glb_of(json: &[u8]) -> Vec<u8> {
+        let mut out = b"glTF\x02\0\0\0".to_vec();
+        out.extend((20 + json.len() as u32).to_le_bytes());
+        out.extend((json.len() as u32).to_le_bytes());
+        out.extend(b"JSON");
+        out.extend(json);
+        out
+    }
+
+    #[test]
+    fn models_pass_and_are_named() {
+        assert_eq!(checked(&glb_of(b"{\"asset\":{}} "), "model"), Ok("glb"));
+        assert_eq!(checked(b"\xef\xbb\xbf {\"a\": 1}", "m.gltf"), Ok("gltf"));
+        assert_eq!(checked(b"# cube\nv 0 0 0\n", "m.OBJ"), Ok("obj"));
+    }
+
+    #[test]
+    fn what_is_broken_is_told() {
+        let whole = glb_of(b"{\"asset\":{}} ");
+        let mut version = whole.clone();
+        version[4] = 1;
+        let mut chunk = whole.clone();
+        chunk[12] = 200;
+        for (bytes, name, code, part) in [
+            (&b""[..], "m.glb", Code::InvalidModel, "empty"),
+            (&whole[..10], "m.glb", Code::InvalidModel, "in its header"),
+            (&whole[..25], "m.glb", Code::InvalidModel, "truncated"),
+            (&version, "m.glb", Code::InvalidModel, "version 1"),
+            (&chunk, "m.glb", Code::InvalidModel, "more than there are"),
+            (&glb_of(b"{\"asset\":"), "m.glb", Code::InvalidModel, "JSON is broken"),
+            (&glb_of(b"{} {}"), "m.glb", Code::InvalidModel, "JSON is broken"),
+            (b"{\"a\": 1", "m.gltf", Code::InvalidModel, "JSON is broken"),
+            (b"hello", "m.gltf", Code::InvalidModel, "not a JSON object"),
+            (b"hello", "m.glb", Code::InvalidModel, "magic"),
+            (b"hello", "m.txt", Code::UnsupportedMediaType, "neither"),
+            (b"PK\x03\x04 no", "m.zip", Code::InvalidModel, "zip is broken"),
+            (&glb_of(&[b' '; 2000]), "m.glb", Code::TooLarge, "2000 bytes"),
+        ] {
+            let failure = checked(bytes, name).unwrap_err();
+            assert_eq!(failure.code, code, "{failure}");
+            assert!(failure.message.contains(part), "{failure}");
+        }
+    }
+}

@@ -1,0 +1,49 @@
+//! `/healthz`, `/readyz`, `/openapi.json`.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::App;
+use super::problem::{Answer, Problem};
+use crate::error::Code;
+
+/// That the service is there.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Health {
+    /// `ok`.
+    status: &'static str,
+    /// Version of Intarsia.
+    version: &'static str,
+}
+
+const OK: Health = Health { status: "ok", version: env!("CARGO_PKG_VERSION") };
+
+/// Alive: the process answers.
+#[utoipa::path(get, path = "/healthz", tag = "service", responses((status = 200, body = Health)))]
+pub(super) async fn alive() -> Json<Health> {
+    Json(OK)
+}
+
+/// Ready: the queue answers, and the service is not shutting down.
+#[utoipa::path(get, path = "/readyz", tag = "service", responses(
+    (status = 200, body = Health),
+    (status = 503, description = "Not now", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn ready(State(app): State<App>) -> Answer<Json<Health>> {
+    let unready = |why| Problem::new(Code::Internal, why).with_status(StatusCode::SERVICE_UNAVAILABLE);
+    if app.jobs.shutdown.is_cancelled() {
+        return Err(unready("the service is shutting down"));
+    }
+    app.jobs.queue.waiting().await.map_err(|_| unready("the job queue does not answer"))?;
+    Ok(Json(OK))
+}
+
+/// The OpenAPI document.
+#[utoipa::path(get, path = "/openapi.json", tag = "service", responses(
+    (status = 200, description = "This document", content_type = "application/json", body = serde_json::Value)))]
+pub(super) async fn contract() -> impl IntoResponse {
+    ([(header::CONTENT_TYPE, "application/json")], super::router::openapi_text())
+}

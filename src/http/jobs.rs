@@ -1,0 +1,143 @@
+//! `/v1/jobs`: submit, read, list, cancel, delete.
+
+use axum::Json;
+use axum::extract::{Path, Query, Request, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::IntoResponse;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use utoipa::{IntoParams, ToSchema};
+
+use super::App;
+use super::problem::{Answer, Problem};
+use super::upload::{self, Submission};
+use crate::error::{Code, Failure};
+use crate::jobs::record::{Job, State as JobState};
+
+/// Seconds after which a job that is not final may be asked for again.
+const RETRY_AFTER: HeaderValue = HeaderValue::from_static("1");
+
+/// Submits a model. It is checked at the door, stored, and computed later: follow the job.
+#[utoipa::path(post, path = "/v1/jobs", tag = "jobs",
+    params(("recipe" = Option<String>, Query, description = "With a raw model: a preset, or stages joined by commas")),
+    request_body(content(
+        (Submission = "multipart/form-data"), (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "application/zip"),
+        (Vec<u8> = "application/octet-stream"), (String = "model/gltf+json"))),
+    responses(
+        (status = 202, description = "Stored", body = Job,
+            headers(("Location" = String, description = "The job"), ("Retry-After" = u32, description = "Seconds"))),
+        (status = 400, description = "Not a model, or a malformed request", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "A limit is exceeded", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Neither multipart nor a model", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The options are not valid", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "The queue is full", body = Problem, content_type = "application/problem+json",
+            headers(("Retry-After" = u32, description = "Seconds")))))]
+pub(super) async fn submit(State(app): State<App>, request: Request) -> Answer {
+    let job = upload::receive(&app, request).await?;
+    let location = HeaderValue::from_str(&format!("/v1/jobs/{}", job.id))
+        .map_err(|e| Failure::internal(format!("an id cannot stand in a header: {e}")))?;
+    let headers = [(header::LOCATION, location), (header::RETRY_AFTER, RETRY_AFTER)];
+    Ok((StatusCode::ACCEPTED, headers, Json(job)).into_response())
+}
+
+/// A job.
+#[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs",
+    params(("id" = String, Path, description = "Id of the job"),
+        ("If-None-Match" = Option<String>, Header, description = "ETags that the client has")),
+    responses(
+        (status = 200, body = Job, headers(("ETag" = String, description = "Of this answer"),
+            ("Retry-After" = u32, description = "Seconds; until the job is final"))),
+        (status = 304, description = "Nothing has changed"),
+        (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Answer {
+    let job = app.jobs.get(&id).await?;
+    let body = serde_json::to_vec(&job).map_err(|e| Failure::internal(e.to_string()))?;
+    let digest = Sha256::digest(&body);
+    let etag = format!("\"{}\"", hex::encode(digest.get(..16).unwrap_or_default()));
+    let mut response = if matches(&headers, &etag) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        ([(header::CONTENT_TYPE, "application/json")], body).into_response()
+    };
+    let headers = response.headers_mut();
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    if let Ok(etag) = HeaderValue::from_str(&etag) {
+        headers.insert(header::ETAG, etag);
+    }
+    if !job.state.is_final() {
+        headers.insert(header::RETRY_AFTER, RETRY_AFTER);
+    }
+    Ok(response)
+}
+
+/// Which jobs are wanted.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct ListQuery {
+    /// Only those in this state.
+    state: Option<JobState>,
+    /// From the page before: its `next`.
+    cursor: Option<i64>,
+    /// Jobs on a page, 1..=200; 50 without it.
+    #[param(minimum = 1, maximum = 200)]
+    limit: Option<u32>,
+}
+
+/// A page of jobs, the newest first.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct JobPage {
+    /// The jobs.
+    jobs: Vec<Job>,
+    /// Cursor of the next page; null at the end.
+    next: Option<i64>,
+}
+
+/// All jobs, page by page; only where the service was started with `--list-jobs`.
+#[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(ListQuery), responses(
+    (status = 200, body = JobPage),
+    (status = 400, description = "A malformed query", body = Problem, content_type = "application/problem+json"),
+    (status = 404, description = "The service does not list jobs", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn list(
+    State(app): State<App>,
+    query: Result<Query<ListQuery>, axum::extract::rejection::QueryRejection>,
+) -> Answer {
+    if !app.list_jobs {
+        return Err(Problem::new(Code::NotFound, "this service does not list its jobs"));
+    }
+    let Query(query) = query.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
+    let limit = query.limit.unwrap_or(50);
+    if !(1..=200).contains(&limit) {
+        return Err(Problem::new(Code::InvalidRequest, "`limit` is in 1..=200"));
+    }
+    let (jobs, next) = app.jobs.queue.list(query.state, query.cursor, limit).await?;
+    Ok(([(header::CACHE_CONTROL, "no-store")], Json(JobPage { jobs, next })).into_response())
+}
+
+/// Cancels a job: at once while it waits, soon when it runs.
+#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", tag = "jobs",
+    params(("id" = String, Path, description = "Id of the job")),
+    responses(
+        (status = 202, description = "It will stop, or has", body = Job),
+        (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> Answer<(StatusCode, Json<Job>)> {
+    Ok((StatusCode::ACCEPTED, Json(app.jobs.cancel(&id).await?)))
+}
+
+/// Deletes a job and its files; cancels it when it runs.
+#[utoipa::path(delete, path = "/v1/jobs/{id}", tag = "jobs",
+    params(("id" = String, Path, description = "Id of the job")),
+    responses(
+        (status = 204, description = "It is gone"),
+        (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Answer<StatusCode> {
+    app.jobs.delete(&id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Whether `If-None-Match` names the tag (weak comparison, RFC 9110, 13.1.2).
+pub(super) fn matches(headers: &HeaderMap, etag: &str) -> bool {
+    let given = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok());
+    given.flat_map(|v| v.split(',')).map(str::trim).any(|t| t == "*" || t.strip_prefix("W/").unwrap_or(t) == etag)
+}

@@ -1,0 +1,102 @@
+//! Errors as users of the service see them: problem details (RFC 9457) with `code` and `errors`.
+
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::error::{Code, Failure};
+use crate::refine::parse::Problem as OptionProblem;
+
+/// Seconds after which a client that was turned away may come back.
+const RETRY_AFTER: HeaderValue = HeaderValue::from_static("5");
+
+/// The one table from code to status and title.
+pub fn status(code: Code) -> (StatusCode, &'static str) {
+    match code {
+        Code::InvalidModel => (StatusCode::BAD_REQUEST, "The model is broken"),
+        Code::UnsupportedExtension => (StatusCode::UNPROCESSABLE_ENTITY, "The model requires an unsupported extension"),
+        Code::MissingFile => (StatusCode::UNPROCESSABLE_ENTITY, "A file that the model names is missing"),
+        Code::InvalidImage => (StatusCode::UNPROCESSABLE_ENTITY, "An image is broken"),
+        Code::TooLarge => (StatusCode::PAYLOAD_TOO_LARGE, "A limit is exceeded"),
+        Code::NothingToRefine => (StatusCode::UNPROCESSABLE_ENTITY, "Nothing in the model can be refined"),
+        Code::InvalidOptions => (StatusCode::UNPROCESSABLE_ENTITY, "The options are not valid"),
+        Code::RequirementNotMet => (StatusCode::UNPROCESSABLE_ENTITY, "A requirement is not met"),
+        Code::Canceled => (StatusCode::CONFLICT, "The job was cancelled"),
+        Code::InvalidRequest => (StatusCode::BAD_REQUEST, "The request is malformed"),
+        Code::UnsupportedMediaType => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "The media type is not supported"),
+        Code::NotFound => (StatusCode::NOT_FOUND, "Not found"),
+        Code::Gone => (StatusCode::GONE, "Removed"),
+        Code::Conflict => (StatusCode::CONFLICT, "The state of the job does not allow this"),
+        Code::QueueFull => (StatusCode::SERVICE_UNAVAILABLE, "The service is busy"),
+        Code::Internal => (StatusCode::INTERNAL_SERVER_ERROR, "Intarsia is at fault"),
+    }
+}
+
+/// Body of an error, `application/problem+json` (RFC 9457).
+#[derive(Debug, Clone, Serialize, ToSchema)]
+pub struct Problem {
+    /// Names the kind of problem: `urn:intarsia:problem:` and the code.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// The kind of problem for people.
+    pub title: &'static str,
+    /// HTTP status.
+    pub status: u16,
+    /// This problem for people.
+    pub detail: String,
+    /// Stable code.
+    pub code: Code,
+    /// Every single thing that is wrong, with its JSON pointer into the options or the model.
+    pub errors: Vec<OptionProblem>,
+}
+
+impl Problem {
+    /// A problem of that code.
+    pub fn new(code: Code, detail: impl Into<String>) -> Self {
+        let (status, title) = status(code);
+        let kind = format!("urn:intarsia:problem:{}", code.as_str());
+        Problem { kind, title, status: status.as_u16(), detail: detail.into(), code, errors: Vec::new() }
+    }
+
+    /// The same problem with another status than its code's.
+    pub fn with_status(mut self, status: StatusCode) -> Self {
+        self.status = status.as_u16();
+        self
+    }
+
+    /// What is wrong with the options of a request.
+    pub fn options(problems: Vec<OptionProblem>) -> Self {
+        let mut problem = Self::from(crate::refine::parse::failure(&problems));
+        problem.errors = problems;
+        problem
+    }
+}
+
+impl From<Failure> for Problem {
+    fn from(failure: Failure) -> Self {
+        let mut problem = Problem::new(failure.code, failure.message.clone());
+        if let Some(pointer) = failure.pointer {
+            problem.errors.push(OptionProblem { pointer, message: failure.message });
+        }
+        problem
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+        let body = serde_json::to_vec(&self).unwrap_or_default();
+        let mut response = (status, body).into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+        if status == StatusCode::SERVICE_UNAVAILABLE {
+            headers.insert(header::RETRY_AFTER, RETRY_AFTER);
+        }
+        response
+    }
+}
+
+/// What handlers return.
+pub type Answer<T = Response> = std::result::Result<T, Problem>;

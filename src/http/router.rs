@@ -1,0 +1,139 @@
+//! All routes, and what surrounds every one of them.
+
+use std::panic::AssertUnwindSafe;
+
+use axum::Router;
+use axum::extract::{DefaultBodyLimit, Request};
+use axum::http::{HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::middleware::{Next, from_fn};
+use axum::response::{IntoResponse, Response};
+use futures_util::FutureExt;
+use tower_http::cors::{AllowOrigin, Any, CorsLayer};
+use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
+use tower_http::trace::{DefaultOnResponse, TraceLayer};
+use utoipa::openapi::{Components, InfoBuilder, LicenseBuilder, OpenApi, OpenApiBuilder};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use super::problem::Problem;
+use super::{App, artifacts, events, health, jobs, recipes};
+use crate::error::{Code, Failure, Result};
+
+/// The routes.
+fn all() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(head())
+        .routes(routes!(jobs::submit, jobs::list))
+        .routes(routes!(jobs::read, jobs::delete))
+        .routes(routes!(jobs::cancel))
+        .routes(routes!(events::follow))
+        .routes(routes!(artifacts::fetch))
+        .routes(routes!(recipes::recipes))
+        .routes(routes!(recipes::limits))
+        .routes(routes!(health::alive))
+        .routes(routes!(health::ready))
+        .routes(routes!(health::contract))
+}
+
+/// The service. `origins` are those that browsers may call from; `*` is any.
+///
+/// # Errors
+/// `invalid_options` for an origin that cannot stand in a header.
+pub fn router(app: App, origins: &[String]) -> Result<Router> {
+    let (router, _) = all().split_for_parts();
+    let request_id = HeaderName::from_static("x-request-id");
+    let mut router = router
+        .fallback(|| async { Problem::new(Code::NotFound, "there is no such route") })
+        .method_not_allowed_fallback(|| async {
+            Problem::new(Code::InvalidRequest, "this route does not know the method")
+                .with_status(StatusCode::METHOD_NOT_ALLOWED)
+        })
+        // Uploads have a limit of their own, counted while they stream to the disk.
+        .layer(DefaultBodyLimit::disable())
+        .layer(from_fn(catch_panics));
+    if !origins.is_empty() {
+        router = router.layer(cors(origins)?);
+    }
+    Ok(router
+        .layer(PropagateRequestIdLayer::new(request_id.clone()))
+        .layer(TraceLayer::new_for_http().on_response(DefaultOnResponse::new().level(tracing::Level::DEBUG)))
+        .layer(SetRequestIdLayer::new(request_id, MakeRequestUuid))
+        .with_state(app))
+}
+
+/// The OpenAPI document.
+pub fn openapi() -> OpenApi {
+    all().into_openapi()
+}
+
+/// The OpenAPI document as it stands in `api/openapi.json`.
+pub fn openapi_text() -> String {
+    let mut text = serde_json::to_string_pretty(&openapi()).unwrap_or_default();
+    text.push('\n');
+    text
+}
+
+fn head() -> OpenApi {
+    let info = InfoBuilder::new()
+        .title("Intarsia")
+        .version(env!("CARGO_PKG_VERSION"))
+        .description(Some(
+            "Refines the texture atlases of 3D models. Submit a model, follow its job, fetch the artifacts.",
+        ))
+        .license(Some(LicenseBuilder::new().name("MIT OR Apache-2.0").build()))
+        .build();
+    OpenApiBuilder::new().info(info).components(Some(Components::new())).build()
+}
+
+fn cors(origins: &[String]) -> Result<CorsLayer> {
+    let allowed = if origins.iter().any(|o| o == "*") {
+        AllowOrigin::from(Any)
+    } else {
+        let list: std::result::Result<Vec<HeaderValue>, _> = origins.iter().map(|o| o.parse()).collect();
+        AllowOrigin::list(list.map_err(|_| Failure::new(Code::InvalidOptions, "an allowed origin is not valid"))?)
+    };
+    Ok(CorsLayer::new()
+        .allow_origin(allowed)
+        .allow_methods([Method::GET, Method::POST, Method::DELETE])
+        .allow_headers([
+            header::CONTENT_TYPE,
+            header::IF_NONE_MATCH,
+            header::IF_RANGE,
+            header::RANGE,
+            HeaderName::from_static("last-event-id"),
+        ])
+        .expose_headers([
+            header::LOCATION,
+            header::RETRY_AFTER,
+            header::ETAG,
+            header::CONTENT_DISPOSITION,
+            header::CONTENT_RANGE,
+            header::ACCEPT_RANGES,
+        ]))
+}
+
+/// A panic in a handler is answered, and ends that request only.
+async fn catch_panics(request: Request, next: Next) -> Response {
+    match AssertUnwindSafe(next.run(request)).catch_unwind().await {
+        Ok(response) => response,
+        Err(_) => {
+            tracing::error!("a handler panicked");
+            Problem::new(Code::Internal, "Intarsia failed on this request; the fault is ours").into_response()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_contract_on_file_is_the_code_s() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("api/openapi.json");
+        let text = openapi_text();
+        if std::env::var_os("INTARSIA_BLESS").is_some() {
+            std::fs::write(&path, &text).unwrap();
+        }
+        let on_file = std::fs::read_to_string(&path).unwrap_or_default();
+        assert!(on_file == text, "api/openapi.json is out of date; INTARSIA_BLESS=1 cargo test writes it anew");
+    }
+}

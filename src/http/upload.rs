@@ -1,0 +1,279 @@
+//! How a submission comes in: streamed to the disk, counted while it streams, checked, handed to the queue.
+
+use axum::body::Bytes;
+use axum::extract::{FromRequest, Multipart, Request};
+use axum::http::{HeaderMap, header};
+use futures_util::{Stream, StreamExt};
+use serde_json::Value;
+use std::path::PathBuf;
+use tokio::io::AsyncWriteExt;
+use tokio::time::timeout;
+use utoipa::ToSchema;
+
+use super::App;
+use super::door;
+use super::problem::{Answer, Problem};
+use crate::error::{Code, Failure};
+use crate::jobs::files::{Manifest, Stored, disk};
+use crate::jobs::record::{Job, new_id};
+use crate::refine::options::Options;
+use crate::refine::parse;
+
+/// Bytes of the `options` of a submission.
+pub(super) const MAX_OPTIONS_BYTES: usize = 1 << 20;
+/// Bytes of a file's relative path.
+const MAX_PATH_BYTES: usize = 1024;
+
+/// A model with its files.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "describes the form in the OpenAPI document; its fields are read as a stream")]
+pub(super) struct Submission {
+    /// The model: .glb, .gltf, .obj or .zip. Several of them share one atlas.
+    #[schema(value_type = Vec<String>, format = Binary)]
+    model: Vec<Vec<u8>>,
+    /// Files that the models name; the file name may hold a relative path.
+    #[schema(value_type = Vec<String>, format = Binary, required = false)]
+    files: Vec<Vec<u8>>,
+    /// The options, as JSON.
+    options: Option<Options>,
+}
+
+/// Receives a submission and stores it as a job.
+pub(super) async fn receive(app: &App, request: Request) -> Answer<Job> {
+    let limits = &app.jobs.limits;
+    let Ok(_permit) = app.uploads.try_acquire() else {
+        return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
+    };
+    if app.jobs.queue.waiting().await? >= limits.max_queued {
+        return Err(crate::jobs::queue::queue_full().into());
+    }
+    let announced = request.headers().get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
+    // The form around the files may add a little.
+    if announced.is_some_and(|n| n > limits.max_upload.saturating_add(MAX_OPTIONS_BYTES as u64 * 2)) {
+        return Err(too_large(limits.max_upload));
+    }
+    let mut incoming = Incoming::new(app).await?;
+    let media_type = media_type(request.headers());
+    let options = match media_type.as_str() {
+        "multipart/form-data" => form(&mut incoming, request).await?,
+        "model/gltf-binary" => raw(&mut incoming, request, "model.glb").await?,
+        "model/gltf+json" => raw(&mut incoming, request, "model.gltf").await?,
+        "application/zip" | "application/x-zip-compressed" => raw(&mut incoming, request, "model.zip").await?,
+        "application/octet-stream" => raw(&mut incoming, request, "model").await?,
+        other => {
+            let detail = format!(
+                "`{other}` is not taken; send multipart/form-data, model/gltf-binary, model/gltf+json, application/zip \
+                 or application/octet-stream"
+            );
+            return Err(Problem::new(Code::UnsupportedMediaType, detail));
+        }
+    };
+    let options = parse::options(&options).map_err(Problem::options)?;
+    incoming.check().await?;
+    let manifest = incoming.take();
+    Ok(app.jobs.submit(&incoming.id, &options, &manifest).await?)
+}
+
+/// The raw model as the body; its options are in the query.
+async fn raw(incoming: &mut Incoming<'_>, request: Request, path: &str) -> Answer<Value> {
+    let mut options = Value::Object(serde_json::Map::new());
+    let query: axum::extract::Query<Vec<(String, String)>> = axum::extract::Query::try_from_uri(request.uri())
+        .map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
+    for (key, value) in query.0 {
+        match key.as_str() {
+            "recipe" => options["recipe"] = parse::recipe_named(&value),
+            other => {
+                let detail = format!("unknown parameter `{}`; a raw model takes `recipe`", cut(other));
+                return Err(Problem::new(Code::InvalidRequest, detail));
+            }
+        }
+    }
+    let number = incoming.store(request.into_body().into_data_stream()).await?;
+    incoming.manifest.models.push(Stored { path: path.to_owned(), number });
+    Ok(options)
+}
+
+/// A form: `model` once or several times, any number of `files`, `options` at most once.
+async fn form(incoming: &mut Incoming<'_>, request: Request) -> Answer<Value> {
+    let mut form =
+        Multipart::from_request(request, &()).await.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
+    let mut options = None;
+    let idle = incoming.app.jobs.limits.upload_idle;
+    loop {
+        let field = timeout(idle, form.next_field()).await.map_err(|_| stalled())?;
+        let Some(mut field) = field.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))? else { break };
+        let name = field.name().unwrap_or_default().to_owned();
+        match name.as_str() {
+            "model" => {
+                let path = relative(field.file_name().filter(|n| !n.is_empty()).unwrap_or("model"))?;
+                incoming.unused(&path)?;
+                let number = incoming.store(field).await?;
+                incoming.manifest.models.push(Stored { path, number });
+            }
+            "files" => {
+                let Some(path) = field.file_name().map(str::to_owned) else {
+                    return Err(Problem::new(Code::InvalidRequest, "a field `files` has no file name"));
+                };
+                let path = relative(&path)?;
+                incoming.unused(&path)?;
+                let number = incoming.store(field).await?;
+                incoming.manifest.files.push(Stored { path, number });
+            }
+            "options" if options.is_none() => {
+                let mut text = Vec::new();
+                loop {
+                    let chunk = timeout(idle, field.chunk()).await.map_err(|_| stalled())?;
+                    let Some(chunk) = chunk.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))? else {
+                        break;
+                    };
+                    if text.len() + chunk.len() > MAX_OPTIONS_BYTES {
+                        let detail = format!("the options exceed {MAX_OPTIONS_BYTES} bytes");
+                        return Err(Problem::new(Code::TooLarge, detail));
+                    }
+                    text.extend_from_slice(&chunk);
+                }
+                let parsed = serde_json::from_slice(&text);
+                options = Some(
+                    parsed.map_err(|e| Problem::new(Code::InvalidRequest, format!("the options are not JSON: {e}")))?,
+                );
+            }
+            "options" => return Err(Problem::new(Code::InvalidRequest, "`options` stands twice in the form")),
+            other => {
+                let detail = format!("unknown field `{}`; the form has `model`, `files` and `options`", cut(other));
+                return Err(Problem::new(Code::InvalidRequest, detail));
+            }
+        }
+    }
+    Ok(options.unwrap_or_else(|| Value::Object(serde_json::Map::new())))
+}
+
+/// An upload under way. When it is dropped before the queue has taken it, its files go.
+struct Incoming<'a> {
+    app: &'a App,
+    id: String,
+    folder: PathBuf,
+    manifest: Manifest,
+    bytes: u64,
+    taken: bool,
+}
+
+impl<'a> Incoming<'a> {
+    async fn new(app: &'a App) -> Answer<Self> {
+        let id = new_id()?;
+        let folder = app.jobs.files.incoming(&id);
+        tokio::fs::create_dir_all(&folder).await.map_err(|e| disk(&folder, &e))?;
+        Ok(Incoming { app, id, folder, manifest: Manifest::default(), bytes: 0, taken: false })
+    }
+
+    /// Streams one file to the disk and returns its number.
+    async fn store<E: std::fmt::Display>(&mut self, stream: impl Stream<Item = Result<Bytes, E>>) -> Answer<usize> {
+        let limits = &self.app.jobs.limits;
+        let number = self.manifest.models.len() + self.manifest.files.len();
+        if number >= limits.max_files {
+            return Err(Problem::new(Code::TooLarge, format!("a submission has at most {} files", limits.max_files)));
+        }
+        let path = self.folder.join(number.to_string());
+        let failed = |e: std::io::Error| Problem::from(disk(&path, &e));
+        let mut file = tokio::fs::File::create_new(&path).await.map_err(failed)?;
+        let mut stream = std::pin::pin!(stream);
+        while let Some(chunk) = timeout(limits.upload_idle, stream.next()).await.map_err(|_| stalled())? {
+            let chunk = chunk.map_err(|e| Problem::new(Code::InvalidRequest, format!("the upload broke off: {e}")))?;
+            self.bytes += chunk.len() as u64;
+            if self.bytes > limits.max_upload {
+                return Err(too_large(limits.max_upload));
+            }
+            file.write_all(&chunk).await.map_err(failed)?;
+        }
+        file.flush().await.map_err(failed)?;
+        file.sync_all().await.map_err(failed)?;
+        Ok(number)
+    }
+
+    /// No two files have one path.
+    fn unused(&self, path: &str) -> Answer<()> {
+        let taken = self.manifest.files.iter().any(|f| f.path == path);
+        if taken { Err(Problem::new(Code::InvalidRequest, format!("two files are called `{path}`"))) } else { Ok(()) }
+    }
+
+    /// The cheap checks of every model.
+    async fn check(&mut self) -> Answer<()> {
+        if self.manifest.models.is_empty() {
+            return Err(Problem::new(Code::InvalidRequest, "the form has no field `model`"));
+        }
+        let most = self.app.jobs.limits.max_json;
+        for model in &mut self.manifest.models {
+            let (path, name) = (self.folder.join(model.number.to_string()), model.path.clone());
+            let kind = tokio::task::spawn_blocking(move || door::check(&path, &name, most)).await;
+            let kind = kind.map_err(|e| Failure::internal(format!("the check was lost: {e}")))??;
+            // A body without a name gets the one that belongs to its contents.
+            if !model.path.contains('.') {
+                model.path = format!("{}.{kind}", model.path);
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self) -> Manifest {
+        self.taken = true;
+        std::mem::take(&mut self.manifest)
+    }
+}
+
+impl Drop for Incoming<'_> {
+    fn drop(&mut self) {
+        if !self.taken {
+            self.app.jobs.files.remove_uploads(&self.id);
+        }
+    }
+}
+
+/// A relative path with forward slashes that stays where it is.
+fn relative(path: &str) -> Answer<String> {
+    let bad = |why: &str| Err(Problem::new(Code::InvalidRequest, format!("the file name `{}` {why}", cut(path))));
+    let path = path.replace('\\', "/");
+    let path = path.strip_prefix("./").unwrap_or(&path);
+    if path.is_empty() || path.len() > MAX_PATH_BYTES {
+        return bad("is empty or too long");
+    }
+    if path.starts_with('/') || path.contains(':') {
+        return bad("is not a relative path");
+    }
+    if path.split('/').any(|part| matches!(part, "" | "." | "..")) {
+        return bad("leaves its folder");
+    }
+    if path.chars().any(char::is_control) {
+        return bad("holds control characters");
+    }
+    Ok(path.to_owned())
+}
+
+fn media_type(headers: &HeaderMap) -> String {
+    let value = headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or("");
+    cut(value.split(';').next().unwrap_or("").trim()).to_ascii_lowercase()
+}
+
+fn cut(text: &str) -> String {
+    text.chars().take(100).collect()
+}
+
+fn stalled() -> Problem {
+    let problem = Problem::new(Code::InvalidRequest, "the upload stood still for too long");
+    problem.with_status(axum::http::StatusCode::REQUEST_TIMEOUT)
+}
+
+fn too_large(limit: u64) -> Problem {
+    Problem::new(Code::TooLarge, format!("a submission has at most {limit} bytes"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_stay_inside() {
+        assert_eq!(relative("./tex\\a.png").unwrap(), "tex/a.png");
+        for bad in ["", "/etc/passwd", "../a", "a/../b", "C:\\a", "a//b", "a\nb", "tex/"] {
+            assert!(relative(bad).is_err(), "{bad:?}");
+        }
+    }
+}

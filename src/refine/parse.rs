@@ -1,0 +1,502 @@
+//! Options as users write them: JSON, `--set PATH=VALUE`, a recipe's name. Every problem is found, not only the first.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+
+use super::options::{AtlasOptions, Options, Pack, Recipe, Requirement, Size, Stage, Texture};
+use crate::error::{Code, Failure};
+
+/// Largest `metadata`, in bytes of JSON.
+pub const MAX_METADATA_BYTES: usize = 64 << 10;
+/// Most stages of a recipe.
+pub const MAX_STAGES: usize = 32;
+/// Presets and stages that can be named, each with what it does.
+pub const RECIPES: &[(&str, &str)] = &[("pack", "Places the charts as they are, better.")];
+/// Names of the contract that this version does not have yet.
+const LATER: &[&str] = &["box_cutter", "defrag", "optcuts", "bounded", "scan"];
+
+/// One thing that is wrong with the options.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
+pub struct Problem {
+    /// JSON pointer into the options.
+    pub pointer: String,
+    /// One sentence for a person.
+    pub message: String,
+}
+
+impl Problem {
+    fn new(pointer: impl Into<String>, message: impl Into<String>) -> Self {
+        Problem { pointer: pointer.into(), message: message.into() }
+    }
+}
+
+/// The problems as one failure, at the first one's pointer.
+pub fn failure(problems: &[Problem]) -> Failure {
+    let sentences: Vec<&str> = problems.iter().map(|p| p.message.as_str()).collect();
+    let failure = Failure::new(Code::InvalidOptions, sentences.join("; "));
+    match problems.first() {
+        Some(first) => failure.at(first.pointer.clone()),
+        None => failure,
+    }
+}
+
+/// Options from their JSON, defaults filled in and ranges checked.
+///
+/// # Errors
+/// All problems, in the order of the document, then those of the ranges.
+pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
+    let mut problems = Vec::new();
+    let Some(map) = value.as_object() else {
+        return Err(vec![Problem::new("", format!("options are a JSON object, not {}", kind(value)))]);
+    };
+    let defaults = Options::default();
+    let known = keys(&defaults);
+    let mut out = defaults;
+    for (key, value) in map {
+        let pointer = child("", key);
+        match key.as_str() {
+            "recipe" => out.recipe = recipe(value, &pointer, &mut problems),
+            "pack" => out.pack = section::<Pack>(value, &pointer, &mut problems),
+            "texture" => out.texture = section::<Texture>(value, &pointer, &mut problems),
+            "atlas" => out.atlas = section::<AtlasOptions>(value, &pointer, &mut problems),
+            "require" => out.require = requirements(value, &pointer, &mut problems),
+            "importance" => {
+                if let Standing::Later = standing("", key, value) {
+                    problems.push(not_yet(&pointer, "`importance`"));
+                }
+            }
+            _ if known.iter().any(|k| k == key) => {
+                let one = Value::Object(Map::from_iter([(key.clone(), value.clone())]));
+                match typed::<Options>(&one, "") {
+                    Ok(parsed) => take(&mut out, key, parsed),
+                    Err(problem) => problems.push(problem),
+                }
+            }
+            _ => problems.push(unknown(&pointer, key, &known)),
+        }
+    }
+    problems.extend(ranges(&out));
+    if problems.is_empty() { Ok(out) } else { Err(problems) }
+}
+
+/// The plain options, those that are not an object or a recipe of their own.
+fn take(out: &mut Options, key: &str, parsed: Options) {
+    match key {
+        "output" => out.output = parsed.output,
+        "seed" => out.seed = parsed.seed,
+        "work_budget" => out.work_budget = parsed.work_budget,
+        "time_limit_s" => out.time_limit_s = parsed.time_limit_s,
+        "metadata" => out.metadata = parsed.metadata,
+        _ => {}
+    }
+}
+
+/// A recipe as people name it: a preset or a stage, or stages joined by commas, as the option's JSON.
+pub fn recipe_named(name: &str) -> Value {
+    if !name.contains(',') {
+        return Value::String(name.trim().to_owned());
+    }
+    name.split(',').map(|stage| serde_json::json!({ "stage": stage.trim() })).collect()
+}
+
+/// The stages of a recipe, presets written out.
+pub fn stages(recipe: &Recipe) -> Vec<Stage> {
+    match recipe {
+        Recipe::Preset(_) => vec![Stage::Pack {}],
+        Recipe::Stages(stages) => stages.clone(),
+    }
+}
+
+/// Applies `PATH=VALUE` to the options' JSON. The value is JSON where it parses as such, else a string. The path is
+/// dotted; a stage's name as its first segment means that stage's parameters (`pack` has them beside the recipe).
+///
+/// # Errors
+/// No `=`, an empty path, or a path through something that is not an object.
+pub fn set(options: &mut Value, assignment: &str) -> Result<(), Problem> {
+    let Some((path, text)) = assignment.split_once('=') else {
+        return Err(Problem::new("", format!("`{assignment}` is not PATH=VALUE")));
+    };
+    let path = path.trim();
+    let value: Value = serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.to_owned()));
+    let mut segments: Vec<&str> = path.split('.').collect();
+    if segments.iter().any(|s| s.is_empty()) || segments.len() > 16 {
+        return Err(Problem::new("", format!("`{path}` is not a dotted path to an option")));
+    }
+    if let Some(stage) = LATER.iter().find(|s| segments.first() == Some(*s)) {
+        return Err(not_yet("/recipe", &format!("stage `{stage}`")));
+    }
+    // Paths of the report hold dots themselves: `require.atlas.charts.max` bounds `atlas.charts`.
+    let joined;
+    if let ["require", figure @ .., bound] = segments.as_slice()
+        && !figure.is_empty()
+    {
+        joined = figure.join(".");
+        segments = vec!["require", &joined, bound];
+    }
+    let mut at = options;
+    let mut pointer = String::new();
+    for (i, segment) in segments.iter().enumerate() {
+        let Some(map) = at.as_object_mut() else {
+            return Err(Problem::new(pointer, format!("`{path}`: `{}` is not an object", segments[..i].join("."))));
+        };
+        pointer = child(&pointer, segment);
+        at = map.entry(*segment).or_insert_with(|| Value::Object(Map::new()));
+    }
+    *at = value;
+    Ok(())
+}
+
+/// One object of options, key by key, so that every problem is found.
+fn section<T: Serialize + DeserializeOwned + Default>(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> T {
+    let Some(map) = value.as_object() else {
+        problems.push(Problem::new(pointer, format!("`{}` is an object, not {}", name(pointer), kind(value))));
+        return T::default();
+    };
+    let known = keys(&T::default());
+    let mut good = Map::new();
+    for (key, value) in map {
+        let at = child(pointer, key);
+        match standing(pointer, key, value) {
+            Standing::Here => {}
+            Standing::Neutral => continue,
+            Standing::Later => {
+                problems.push(not_yet(&at, &format!("`{key}`")));
+                continue;
+            }
+        }
+        if !known.iter().any(|k| k == key) {
+            problems.push(unknown(&at, key, &known));
+        } else {
+            let one = Value::Object(Map::from_iter([(key.clone(), value.clone())]));
+            match typed::<T>(&one, pointer) {
+                Ok(_) => drop(good.insert(key.clone(), value.clone())),
+                Err(problem) => problems.push(problem),
+            }
+        }
+    }
+    typed(&Value::Object(good), pointer).unwrap_or_default()
+}
+
+fn requirements(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> BTreeMap<String, Requirement> {
+    let Some(map) = value.as_object() else {
+        problems.push(Problem::new(pointer, format!("`require` is an object, not {}", kind(value))));
+        return BTreeMap::new();
+    };
+    let mut out = BTreeMap::new();
+    for (path, bounds) in map {
+        let at = child(pointer, path);
+        let before = problems.len();
+        let requirement: Requirement = section(bounds, &at, problems);
+        let bounds = [requirement.min, requirement.max, requirement.min_gain, requirement.max_ratio];
+        if problems.len() == before && bounds.iter().all(Option::is_none) {
+            problems.push(Problem::new(at, "a requirement has at least one of min, max, min_gain and max_ratio"));
+        }
+        out.insert(path.clone(), requirement);
+    }
+    out
+}
+
+fn recipe(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> Recipe {
+    match value {
+        Value::String(name) if name.contains(',') => recipe(&recipe_named(name), pointer, problems),
+        Value::String(name) => {
+            if let Some(problem) = stage_problem(pointer, name) {
+                problems.push(problem);
+            }
+            Recipe::Preset(name.clone())
+        }
+        Value::Array(list) => {
+            if list.is_empty() || list.len() > MAX_STAGES {
+                problems.push(Problem::new(pointer, format!("a recipe has 1 to {MAX_STAGES} stages")));
+            }
+            let each = list.iter().take(MAX_STAGES).enumerate();
+            Recipe::Stages(each.filter_map(|(i, v)| stage(v, &format!("{pointer}/{i}"), problems)).collect())
+        }
+        other => {
+            problems
+                .push(Problem::new(pointer, format!("a recipe is a name or a list of stages, not {}", kind(other))));
+            Recipe::Preset("pack".to_owned())
+        }
+    }
+}
+
+fn stage(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> Option<Stage> {
+    let Some(name) = value.get("stage").and_then(Value::as_str) else {
+        problems.push(Problem::new(pointer, "a stage is an object that names itself: {\"stage\": \"pack\"}"));
+        return None;
+    };
+    if let Some(problem) = stage_problem(&child(pointer, "stage"), name) {
+        problems.push(problem);
+        return None;
+    }
+    let before = problems.len();
+    for key in value.as_object()?.keys().filter(|k| *k != "stage") {
+        let at = child(pointer, key);
+        let own = keys(&Pack::default()).iter().any(|k| k == key);
+        let hint = if own { "; its parameters stand in `pack`, beside the recipe" } else { "" };
+        problems.push(Problem::new(at, format!("stage `{name}` has no parameter `{key}`{hint}")));
+    }
+    if problems.len() > before {
+        return None;
+    }
+    typed(value, pointer).map_err(|p| problems.push(p)).ok()
+}
+
+fn stage_problem(pointer: &str, name: &str) -> Option<Problem> {
+    if RECIPES.iter().any(|r| r.0 == name) {
+        return None;
+    }
+    if LATER.contains(&name) {
+        return Some(not_yet(pointer, &format!("recipe `{name}`")));
+    }
+    let names: Vec<&str> = RECIPES.iter().map(|r| r.0).collect();
+    let hint = nearest(name, &names).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
+    Some(Problem::new(pointer, format!("no recipe or stage is called `{}`{hint}", short(name))))
+}
+
+/// What the types cannot say.
+fn ranges(o: &Options) -> Vec<Problem> {
+    let mut out = Vec::new();
+    let mut within = |pointer: &str, value: f64, low: f64, high: f64| {
+        if !(low..=high).contains(&value) {
+            out.push(Problem::new(pointer, format!("`{}` is {value}, outside {low}..={high}", name(pointer))));
+        }
+    };
+    within("/pack/grid", o.pack.grid.into(), 1.0, 64.0);
+    if let Some(aspect) = o.pack.aspect {
+        within("/pack/aspect", aspect, 0.01, 100.0);
+    }
+    within("/texture/multiple_of", o.texture.multiple_of.into(), 1.0, 256.0);
+    within("/texture/max_size", o.texture.max_size.into(), 16.0, 16384.0);
+    within("/texture/jpeg_quality", o.texture.jpeg_quality.into(), 1.0, 100.0);
+    within("/atlas/uv_set", o.atlas.uv_set.into(), 0.0, 7.0);
+    if let Some(limit) = o.time_limit_s.filter(|l| !(*l > 0.0 && *l <= 1e9)) {
+        out.push(Problem::new(
+            "/time_limit_s",
+            format!("`time_limit_s` is {limit}, not more than 0 (and at most 1e9)"),
+        ));
+    }
+    if o.work_budget == Some(0) {
+        out.push(Problem::new("/work_budget", "`work_budget` is 0; it is at least 1, or null"));
+    }
+    if let Size::Fixed(size) = o.texture.size {
+        let max = o.texture.max_size;
+        if size.iter().any(|s| *s > max) {
+            out.push(Problem::new("/texture/size", format!("`size` {size:?} exceeds `max_size` {max}")));
+        }
+        let multiple = o.texture.multiple_of.max(1);
+        if size.iter().any(|s| s % multiple != 0) {
+            out.push(Problem::new(
+                "/texture/size",
+                format!("`size` {size:?} is no multiple of `multiple_of` {multiple}"),
+            ));
+        }
+        if o.texture.power_of_two && !size.iter().all(|s| s.is_power_of_two()) {
+            out.push(Problem::new("/texture/size", format!("`size` {size:?} is no power of two")));
+        }
+    }
+    if serde_json::to_vec(&o.metadata).map_or(true, |m| m.len() > MAX_METADATA_BYTES) {
+        out.push(Problem::new("/metadata", format!("`metadata` is larger than {MAX_METADATA_BYTES} bytes of JSON")));
+    }
+    out
+}
+
+/// Whether this version has a key.
+enum Standing {
+    Here,
+    /// Not here, and its value asks for nothing: the same as leaving it out.
+    Neutral,
+    /// Not here, and asked for.
+    Later,
+}
+
+fn standing(parent: &str, key: &str, value: &Value) -> Standing {
+    match (parent, key, value) {
+        ("", "importance", Value::Null) | ("/atlas", "merge", Value::Bool(false)) => Standing::Neutral,
+        ("", "importance", _) | ("/atlas", "merge", _) => Standing::Later,
+        ("/texture", "format", Value::String(format)) if format == "webp" => Standing::Later,
+        _ => Standing::Here,
+    }
+}
+
+fn not_yet(pointer: &str, what: &str) -> Problem {
+    Problem::new(pointer, format!("{what} is not available in this version"))
+}
+
+fn unknown(pointer: &str, key: &str, known: &[String]) -> Problem {
+    let known: Vec<&str> = known.iter().map(String::as_str).collect();
+    let hint = match nearest(key, &known) {
+        Some(near) => format!("did you mean `{near}`?"),
+        None => format!("known here: {}", known.join(", ")),
+    };
+    Problem::new(pointer, format!("unknown option `{}`; {hint}", short(key)))
+}
+
+/// The nearest of `known`, if it is near enough to be what was meant.
+pub fn nearest<'a>(wanted: &str, known: &[&'a str]) -> Option<&'a str> {
+    let wanted = short(wanted);
+    let score = |k: &str| strsim::jaro_winkler(&wanted, k);
+    known.iter().copied().max_by(|a, b| score(a).total_cmp(&score(b))).filter(|k| score(k) >= 0.75)
+}
+
+/// The value as `T`, or where and why it is not one.
+fn typed<T: DeserializeOwned>(value: &Value, pointer: &str) -> Result<T, Problem> {
+    serde_path_to_error::deserialize(value).map_err(|error| {
+        let mut at = pointer.to_owned();
+        for segment in error.path().iter() {
+            use serde_path_to_error::Segment;
+            match segment {
+                Segment::Seq { index } => at = child(&at, &index.to_string()),
+                Segment::Map { key } => at = child(&at, key),
+                Segment::Enum { .. } | Segment::Unknown => {}
+            }
+        }
+        let text = error.inner().to_string();
+        let text = text.replace("expected u32", "expected a whole number of at least 0");
+        let text = text.replace("expected u64", "expected a whole number of at least 0");
+        let text = text
+            .replace("expected u8", "expected a whole number in 0..=255")
+            .replace("expected f64", "expected a number");
+        let message = format!("`{}`: {}", name(&at), short(&text));
+        Problem::new(at, message)
+    })
+}
+
+fn keys<T: Serialize>(value: &T) -> Vec<String> {
+    match serde_json::to_value(value) {
+        Ok(Value::Object(map)) => map.keys().cloned().collect(),
+        _ => Vec::new(),
+    }
+}
+
+fn child(pointer: &str, key: &str) -> String {
+    format!("{pointer}/{}", short(key).replace('~', "~0").replace('/', "~1"))
+}
+
+fn name(pointer: &str) -> String {
+    let last = pointer.rsplit('/').next().unwrap_or_default();
+    last.replace("~1", "/").replace("~0", "~")
+}
+
+fn kind(value: &Value) -> &'static str {
+    match value {
+        Value::Null => "null",
+        Value::Bool(_) => "a boolean",
+        Value::Number(_) => "a number",
+        Value::String(_) => "a string",
+        Value::Array(_) => "a list",
+        Value::Object(_) => "an object",
+    }
+}
+
+/// Text from outside, cut to a length fit for a message.
+fn short(text: &str) -> String {
+    const MOST: usize = 200;
+    match text.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::refine::options::{Gutter, Rotation};
+
+    #[test]
+    fn empty_options_are_the_defaults_and_every_default_reads_back() {
+        assert_eq!(options(&json!({})).unwrap(), Options::default());
+        let filled = serde_json::to_value(Options::default()).unwrap();
+        assert_eq!(options(&filled).unwrap(), Options::default());
+    }
+
+    #[test]
+    fn every_problem_is_found_with_its_pointer() {
+        let bad = json!({
+            "pack": {"gutters": 2, "grid": 0, "rotation": "quater"}, "texture": {"jpeg_quality": 101, "mutliple_of": 4},
+            "atlas": {"merge": true, "uv_set": 9}, "importance": {"attribute": "COLOR_0.r"}, "time_limit_s": -1,
+            "require": {"atlas.charts": {}, "model.x/y": {"minimum": 1}}, "recipe": [{"stage": "pack", "grid": 2}, {"stage": "bounded"}],
+            "seed": "x", "colour": 1,
+        });
+        let problems = options(&bad).unwrap_err();
+        let found: BTreeMap<&str, &str> = problems.iter().map(|p| (p.pointer.as_str(), p.message.as_str())).collect();
+        for (pointer, part) in [
+            ("/pack/gutters", "did you mean `gutter`?"),
+            ("/pack/grid", "outside 1..=64"),
+            ("/pack/rotation", "`quarter`"),
+            ("/texture/jpeg_quality", "outside 1..=100"),
+            ("/texture/mutliple_of", "`multiple_of`"),
+            ("/atlas/merge", "not available in this version"),
+            ("/atlas/uv_set", "outside 0..=7"),
+            ("/importance", "not available in this version"),
+            ("/time_limit_s", "-1"),
+            ("/require/atlas.charts", "at least one of"),
+            ("/require/model.x~1y/minimum", "did you mean `min`?"),
+            ("/recipe/0/grid", "beside the recipe"),
+            ("/recipe/1/stage", "not available in this version"),
+            ("/seed", "invalid type"),
+            ("/colour", "unknown option `colour`"),
+        ] {
+            let message = found.get(pointer).unwrap_or_else(|| panic!("{pointer} is missing in {found:#?}"));
+            assert!(message.contains(part), "{pointer}: {message}");
+        }
+        assert_eq!(problems.len(), 15, "{problems:#?}");
+    }
+
+    #[test]
+    fn sizes_must_agree() {
+        let bad = |texture: Value| options(&json!({ "texture": texture })).unwrap_err().remove(0).pointer;
+        assert_eq!(bad(json!({"size": [64, 64], "max_size": 32})), "/texture/size");
+        assert_eq!(bad(json!({"size": [63, 64]})), "/texture/size");
+        assert_eq!(bad(json!({"size": [0, 64]})), "/texture/size");
+        assert_eq!(bad(json!({"size": [96, 64], "power_of_two": true})), "/texture/size");
+        assert_eq!(bad(json!({"max_size": 15})), "/texture/max_size");
+        assert_eq!(bad(json!({"format": "webp"})), "/texture/format");
+        assert!(options(&json!({"texture": {"size": [64, 32]}})).is_ok());
+    }
+
+    #[test]
+    fn what_is_neutral_is_accepted() {
+        assert!(options(&json!({"importance": null, "atlas": {"merge": false}, "work_budget": null})).is_ok());
+    }
+
+    #[test]
+    fn paths_set_values() {
+        let mut value = json!({});
+        for text in [
+            "pack.rotation=any",
+            "pack.gutter=3",
+            "texture.size=[64, 32]",
+            "require.atlas.packing_efficiency.min=0.8",
+            "metadata.who=me=you",
+        ] {
+            set(&mut value, text).unwrap();
+        }
+        let options = options(&value).unwrap();
+        assert_eq!(options.pack.rotation, Rotation::Any);
+        assert_eq!(options.pack.gutter, Gutter::Texels(3));
+        assert_eq!(options.texture.size, Size::Fixed([64, 32]));
+        assert_eq!(options.require["atlas.packing_efficiency"].min, Some(0.8));
+        assert_eq!(options.metadata["who"], "me=you");
+        assert!(set(&mut value, "pack").is_err());
+        assert!(set(&mut value, "pack..x=1").is_err());
+        assert!(set(&mut value, "pack.rotation.x=1").is_err());
+        assert!(set(&mut value, "box_cutter.max_boundary_length=1.3").unwrap_err().message.contains("not available"));
+    }
+
+    #[test]
+    fn recipes_are_names_or_stages() {
+        let named = |name: &str| options(&json!({ "recipe": recipe_named(name) }));
+        assert_eq!(named("pack").unwrap().recipe, Recipe::Preset("pack".to_owned()));
+        assert_eq!(named("pack, pack").unwrap().recipe, Recipe::Stages(vec![Stage::Pack {}, Stage::Pack {}]));
+        assert!(named("pak").unwrap_err()[0].message.contains("did you mean `pack`?"));
+        assert!(named("defrag,pack").unwrap_err()[0].message.contains("not available"));
+        assert!(options(&json!({"recipe": []})).is_err());
+        assert!(options(&json!({"recipe": 1})).is_err());
+    }
+}

@@ -1,0 +1,215 @@
+//! The way of a job: in, followed, out.
+
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
+use crate::server::{Form, Server, bytes, glb, header, json, sample};
+
+fn artifact<'a>(job: &'a Value, name: &str) -> &'a Value {
+    let all = job["artifacts"].as_array().unwrap();
+    all.iter().find(|a| a["name"] == name).unwrap_or_else(|| panic!("no artifact {name} in {all:#?}"))
+}
+
+#[test]
+fn a_model_goes_in_and_comes_out() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let options = json!({"texture": {"format": "png"}, "metadata": {"ticket": 7}});
+    let form = Form::sample().text("options", &options.to_string());
+    let mut response = server.submit(&form);
+    assert_eq!(response.status(), 202);
+    assert_eq!(header(&response, "retry-after"), "1");
+    let path = header(&response, "location").to_owned();
+    let job = json(&mut response);
+    assert_eq!(path, format!("/v1/jobs/{}", job["id"].as_str().unwrap()));
+    assert_eq!(job["id"].as_str().unwrap().len(), 32);
+
+    let job = server.wait(&path);
+    assert_eq!(job["state"], "succeeded", "{job:#}");
+    assert_eq!(job["progress"]["fraction"], 1.0);
+    assert_eq!(job["recipe"], "pack");
+    assert_eq!(job["options"]["texture"]["format"], "png");
+    assert_eq!(job["options"]["texture"]["jpeg_quality"], 92, "defaults are filled in");
+    assert_eq!(job["metadata"], json!({"ticket": 7}));
+    assert_eq!((&job["error"], &job["queue_position"], &job["attempt"]), (&Value::Null, &Value::Null, &json!(1)));
+    for time in ["created_at", "started_at", "finished_at", "artifacts_expire_at"] {
+        assert!(job[time].as_str().unwrap().ends_with('Z'), "{time} in {job:#}");
+    }
+
+    let model = artifact(&job, "model.glb");
+    let href = model["href"].as_str().unwrap();
+    let mut response = server.get(href, &[]);
+    assert_eq!(response.status(), 200);
+    assert_eq!(header(&response, "content-type"), "model/gltf-binary");
+    assert_eq!(header(&response, "content-disposition"), "attachment; filename=\"model.glb\"");
+    let etag = header(&response, "etag").to_owned();
+    let whole = bytes(&mut response);
+    assert!(whole.starts_with(b"glTF"));
+    assert_eq!(model["bytes"], whole.len());
+    assert_eq!(model["sha256"], hex::encode(Sha256::digest(&whole)));
+
+    assert_eq!(server.get(href, &[("if-none-match", &etag)]).status(), 304);
+    let mut part = server.get(href, &[("range", "bytes=4-7")]);
+    assert_eq!(part.status(), 206);
+    assert_eq!(header(&part, "content-range"), format!("bytes 4-7/{}", whole.len()));
+    assert_eq!(bytes(&mut part), whole[4..8]);
+    let stale = server.get(href, &[("range", "bytes=4-7"), ("if-range", "\"other\"")]);
+    assert_eq!(stale.status(), 200);
+    let outside = server.get(href, &[("range", "bytes=999999999999-")]);
+    assert_eq!(outside.status(), 416);
+    assert_eq!(header(&outside, "content-range"), format!("bytes */{}", whole.len()));
+
+    let report = json(&mut server.get(artifact(&job, "report.json")["href"].as_str().unwrap(), &[]));
+    assert_eq!(report["schema"], 1);
+    assert!(bytes(&mut server.get(artifact(&job, "result.zip")["href"].as_str().unwrap(), &[])).starts_with(b"PK"));
+}
+
+#[test]
+fn a_job_that_has_not_changed_is_not_sent_again() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let path = server.accepted(&Form::sample());
+    server.wait(&path);
+    let response = server.get(&path, &[]);
+    let etag = header(&response, "etag").to_owned();
+    assert!(response.headers().get("retry-after").is_none(), "a final job need not be asked for again");
+    assert_eq!(server.get(&path, &[("if-none-match", &format!("\"x\", W/{etag}"))]).status(), 304);
+    assert_eq!(server.get(&path, &[("if-none-match", "\"x\"")]).status(), 200);
+}
+
+#[test]
+fn a_raw_model_is_a_job_too() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    for media_type in ["model/gltf-binary", "application/octet-stream"] {
+        let response = server.post("/v1/jobs?recipe=pack", media_type, &sample());
+        assert_eq!(response.status(), 202);
+        assert_eq!(server.wait(header(&response, "location"))["state"], "succeeded");
+    }
+}
+
+#[test]
+fn same_input_same_bytes() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let run = || server.wait(&server.accepted(&Form::sample()));
+    let sums = |job: &Value| -> Vec<(String, String)> {
+        let all = job["artifacts"].as_array().unwrap().iter();
+        all.map(|a| (a["name"].to_string(), a["sha256"].to_string())).collect()
+    };
+    assert_eq!(sums(&run()), sums(&run()));
+}
+
+#[test]
+fn what_is_wrong_inside_the_model_fails_the_job() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let empty = glb(r#"{"asset": {"version": "2.0"}}"#);
+    let job = server.wait(&server.accepted(&Form::default().file("model", "empty.glb", &empty)));
+    assert_eq!(job["state"], "failed");
+    assert_eq!(job["error"]["code"], "nothing_to_refine", "{job:#}");
+    assert!(!job["error"]["message"].as_str().unwrap().is_empty());
+    assert_eq!((&job["error"]["failures"], &job["artifacts"]), (&json!([]), &json!([])));
+}
+
+#[test]
+fn a_requirement_that_is_not_met_keeps_the_artifacts() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let options = json!({"require": {"atlas.packing_efficiency": {"min": 0.9999}}});
+    let job = server.wait(&server.accepted(&Form::sample().text("options", &options.to_string())));
+    assert_eq!((&job["state"], &job["error"]["code"]), (&json!("failed"), &json!("requirement_not_met")));
+    assert_eq!(job["error"]["failures"][0]["path"], "atlas.packing_efficiency");
+    let href = artifact(&job, "model.glb")["href"].as_str().unwrap();
+    assert_eq!(server.get(href, &[]).status(), 200);
+}
+
+#[test]
+fn events_start_with_the_snapshot_and_end_with_the_final_state() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let path = server.accepted(&Form::sample());
+    let read = |headers: &[(&str, &str)]| {
+        let mut response = server.get(&format!("{path}/events"), headers);
+        assert_eq!(header(&response, "content-type"), "text/event-stream");
+        String::from_utf8(bytes(&mut response)).unwrap()
+    };
+    let names = |text: &str| -> Vec<String> {
+        text.lines().filter_map(|l| l.strip_prefix("event: ")).map(str::to_owned).collect()
+    };
+    let text = read(&[]);
+    let told = names(&text);
+    assert_eq!(told[0], "snapshot", "{text}");
+    let last = text.lines().rfind(|l| l.starts_with("data: ")).unwrap();
+    let job: Value = serde_json::from_str(&last["data: ".len()..]).unwrap();
+    assert_eq!(job["state"], "succeeded", "{text}");
+    assert!(text.lines().filter(|l| l.starts_with("id: ")).count() == told.len(), "every event has an id");
+    // Who comes later is told the end at once.
+    assert_eq!(names(&read(&[("last-event-id", "1.0")]))[0], "snapshot");
+}
+
+#[test]
+fn ended_jobs_cannot_be_cancelled_and_deleted_jobs_are_gone() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let path = server.accepted(&Form::sample());
+    let job = server.wait(&path);
+    let mut response = server.post(&format!("{path}/cancel"), "application/json", b"");
+    assert_eq!(response.status(), 409);
+    assert_eq!(json(&mut response)["code"], "conflict");
+    assert_eq!(server.delete(&path).status(), 204);
+    let href = artifact(&job, "model.glb")["href"].as_str().unwrap();
+    for gone in [&path, href, &format!("{path}/events")] {
+        assert_eq!(server.get(gone, &[]).status(), 404, "{gone}");
+    }
+    assert_eq!(server.delete(&path).status(), 404);
+    assert_eq!(server.post(&format!("{path}/cancel"), "application/json", b"").status(), 404);
+    let left = std::fs::read_dir(data.path().join("artifacts")).unwrap().count();
+    let left = left + std::fs::read_dir(data.path().join("uploads")).unwrap().count();
+    assert_eq!(left, 0, "no file of a deleted job stays");
+}
+
+#[test]
+fn a_cancelled_job_ends_as_cancelled() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    // Several, so that the last one waits or has just begun.
+    let paths: Vec<String> = (0..8).map(|_| server.accepted(&Form::sample())).collect();
+    let last = paths.last().unwrap();
+    let response = server.post(&format!("{last}/cancel"), "application/json", b"");
+    let job = server.wait(last);
+    match response.status().as_u16() {
+        202 => assert_eq!((&job["state"], &job["error"]["code"]), (&json!("canceled"), &json!("canceled"))),
+        // It was faster.
+        other => assert_eq!((other, &job["state"]), (409, &json!("succeeded"))),
+    }
+}
+
+#[test]
+fn expired_artifacts_are_gone_and_the_job_stays() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &["--keep-artifacts", "1ms"]);
+    let path = server.accepted(&Form::sample());
+    let job = server.wait(&path);
+    std::thread::sleep(Duration::from_millis(10));
+    let mut response = server.get(artifact(&job, "model.glb")["href"].as_str().unwrap(), &[]);
+    assert_eq!((response.status().as_u16(), &json(&mut response)["code"]), (410, &json!("gone")));
+    assert_eq!(server.get(&path, &[]).status(), 200);
+}
+
+#[test]
+fn jobs_survive_the_death_of_the_process() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let paths: Vec<String> = (0..4).map(|_| server.accepted(&Form::sample())).collect();
+    server.kill();
+    let server = Server::start(data.path(), &[]);
+    for path in paths {
+        let job = server.wait(&path);
+        assert_eq!(job["state"], "succeeded", "{job:#}");
+        let href = artifact(&job, "model.glb")["href"].as_str().unwrap();
+        assert_eq!(server.get(href, &[]).status(), 200);
+    }
+}

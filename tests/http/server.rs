@@ -1,0 +1,167 @@
+//! A server of one test: the program itself, on a free port, with a data folder of its own.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use ureq::http::Response;
+use ureq::{Agent, Body};
+
+pub struct Server {
+    child: Child,
+    agent: Agent,
+    pub base: String,
+}
+
+impl Server {
+    /// Starts a server over `data`.
+    pub fn start(data: &Path, flags: &[&str]) -> Server {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_intarsia"))
+            .args(["serve", "--listen", "127.0.0.1:0", "--threads", "2", "--log-level", "warn", "--data-dir"])
+            .arg(data)
+            .args(flags)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let base = line.trim().strip_prefix("listening on ").expect("the server tells its address").to_owned();
+        let config = Agent::config_builder().http_status_as_error(false).timeout_global(Some(Duration::from_secs(60)));
+        Server { child, agent: config.build().new_agent(), base }
+    }
+
+    /// GET with headers.
+    pub fn get(&self, path: &str, headers: &[(&str, &str)]) -> Response<Body> {
+        let request = self.agent.get(format!("{}{path}", self.base));
+        headers.iter().fold(request, |r, (k, v)| r.header(*k, *v)).call().unwrap()
+    }
+
+    /// POST of a body.
+    pub fn post(&self, path: &str, media_type: &str, body: &[u8]) -> Response<Body> {
+        self.agent.post(format!("{}{path}", self.base)).content_type(media_type).send(body).unwrap()
+    }
+
+    /// DELETE.
+    pub fn delete(&self, path: &str) -> Response<Body> {
+        self.agent.delete(format!("{}{path}", self.base)).call().unwrap()
+    }
+
+    /// Submits a form.
+    pub fn submit(&self, form: &Form) -> Response<Body> {
+        let (media_type, body) = form.encoded();
+        self.post("/v1/jobs", &media_type, &body)
+    }
+
+    /// Submits a form that is taken, and returns where its job is.
+    pub fn accepted(&self, form: &Form) -> String {
+        let mut response = self.submit(form);
+        assert_eq!(response.status(), 202, "{}", json(&mut response));
+        header(&response, "location").to_owned()
+    }
+
+    /// Follows a job to its end. Its progress never falls on the way.
+    pub fn wait(&self, path: &str) -> Value {
+        let started = Instant::now();
+        let mut last = 0.0;
+        loop {
+            let mut response = self.get(path, &[]);
+            let job = json(&mut response);
+            let fraction = job["progress"]["fraction"].as_f64().unwrap_or_else(|| panic!("no progress in {job}"));
+            assert!(fraction >= last, "progress fell from {last} to {fraction}");
+            last = fraction;
+            if !["queued", "running"].contains(&job["state"].as_str().unwrap()) {
+                return job;
+            }
+            assert_eq!(header(&response, "retry-after"), "1");
+            assert!(started.elapsed() < Duration::from_secs(120), "the job does not end: {job}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Most memory that the process has held, in bytes.
+    #[cfg(target_os = "linux")]
+    pub fn peak_memory(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).unwrap();
+        line.trim().trim_end_matches(" kB").parse::<u64>().unwrap() * 1024
+    }
+
+    /// Ends the process at once, as a loss of power would.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A multipart form.
+#[derive(Default)]
+pub struct Form(Vec<u8>);
+
+const BOUNDARY: &str = "a-boundary-that-no-file-holds-7d3f";
+
+impl Form {
+    /// A form with the sample model.
+    pub fn sample() -> Form {
+        Form::default().file("model", "sample.glb", &sample())
+    }
+
+    pub fn file(mut self, field: &str, name: &str, bytes: &[u8]) -> Form {
+        let head = format!(
+            "--{BOUNDARY}\r\nContent-Disposition: form-data; name=\"{field}\"; filename=\"{name}\"\r\n\
+             Content-Type: application/octet-stream\r\n\r\n"
+        );
+        self.0.extend(head.bytes().chain(bytes.iter().copied()).chain(*b"\r\n"));
+        self
+    }
+
+    pub fn text(mut self, field: &str, text: &str) -> Form {
+        let part = format!("--{BOUNDARY}\r\nContent-Disposition: form-data; name=\"{field}\"\r\n\r\n{text}\r\n");
+        self.0.extend(part.bytes());
+        self
+    }
+
+    fn encoded(&self) -> (String, Vec<u8>) {
+        let mut body = self.0.clone();
+        body.extend(format!("--{BOUNDARY}--\r\n").bytes());
+        (format!("multipart/form-data; boundary={BOUNDARY}"), body)
+    }
+}
+
+/// The model that the program makes itself.
+pub fn sample() -> Vec<u8> {
+    intarsia::asset::sample::sample("textured").unwrap()
+}
+
+/// A GLB of that JSON and nothing else.
+pub fn glb(json: &str) -> Vec<u8> {
+    let json = format!("{json:<width$}", width = json.len().next_multiple_of(4));
+    let mut out = b"glTF\x02\0\0\0".to_vec();
+    out.extend((20 + json.len() as u32).to_le_bytes());
+    out.extend((json.len() as u32).to_le_bytes());
+    out.extend(b"JSON");
+    out.extend(json.bytes());
+    out
+}
+
+pub fn bytes(response: &mut Response<Body>) -> Vec<u8> {
+    response.body_mut().with_config().limit(1 << 30).read_to_vec().unwrap()
+}
+
+pub fn json(response: &mut Response<Body>) -> Value {
+    let body = bytes(response);
+    serde_json::from_slice(&body).unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&body)))
+}
+
+pub fn header<'a>(response: &'a Response<Body>, name: &str) -> &'a str {
+    let value = response.headers().get(name).unwrap_or_else(|| panic!("no header {name} in {:?}", response.headers()));
+    value.to_str().unwrap()
+}
