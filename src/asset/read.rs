@@ -99,3 +99,86 @@ fn name(doc: &Document, scan: &Scan, planned: &Planned) -> String {
     }
     joined.chars().take(LONGEST_NAME - 1).chain(['…']).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::{Limits, load, read_paths};
+    use crate::atlas::{Charts, Topology};
+
+    /// A real model, where the data is at hand.
+    fn model(path: &str) -> Option<Document> {
+        let root = std::env::var_os("INTARSIA_DATA").map_or_else(
+            || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+            std::path::PathBuf::from,
+        );
+        let path = root.join(path);
+        if !path.exists() {
+            println!("skipped: {} is not there", path.display());
+            return None;
+        }
+        let files = read_paths(std::slice::from_ref(&path)).unwrap();
+        Some(load(&files, None, &Limits::default()).unwrap().0)
+    }
+
+    #[test]
+    fn explore() {
+        for path in [
+            "scans/meshroom_esp32cam/texturedMesh.obj",
+            "scans/planeopt_copyroom/copyroom_c2000_opt.obj",
+            "scans/ycb_002_master_chef_can/textured.obj",
+            "scans/ycb_025_mug/textured.obj",
+            "scans/ycb_035_power_drill/textured.obj",
+            "scans/ycb_059_chain/textured.obj",
+            "scans/ycb_061_foam_brick/textured.obj",
+            "scans/ycb_072-a_toy_airplane/textured.obj",
+            "pbr/gltft_chr_knight/chr_knight.glb",
+            "pbr/khr_AnimatedCube/AnimatedCube.gltf",
+            "pbr/khr_AnimatedMorphCube/AnimatedMorphCube.glb",
+            "pbr/khr_Avocado/Avocado.gltf",
+            "pbr/khr_BoomBoxWithAxes/BoomBoxWithAxes.gltf",
+            "pbr/khr_Suzanne/Suzanne.gltf",
+            "pbr/khr_CesiumMan/CesiumMan.glb",
+            "pbr/khr_CesiumMilkTruck/CesiumMilkTruck.glb",
+            "pbr/khr_Duck/Duck.glb",
+            "pbr/khr_Monster/Monster.glb",
+            "pbr/khr_NormalTangentTest/NormalTangentTest.glb",
+            "pbr/khr_TextureSettingsTest/TextureSettingsTest.glb",
+            "pbr/khr_WaterBottle/WaterBottle.gltf",
+            "pbr/trimesh_AlphaBlendModeTest/AlphaBlendModeTest.glb",
+            "pbr/trimesh_fuze/fuze.obj",
+            "pbr/draco_Fox/Fox.gltf",
+            "pbr/draco_TextureTransformTest/TextureTransformTest.gltf",
+            "uv/spot.obj",
+            "uv/camel_f_withSUV.obj",
+            "hostile/toy.obj",
+            "hostile/ArtDemo.obj",
+            "hostile/Corset_missing_images/Corset.gltf",
+        ] {
+            let doc = match std::panic::catch_unwind(|| model(path)) {
+                Ok(Some(doc)) => doc,
+                _ => continue,
+            };
+            let context = Context::silent();
+            let start = std::time::Instant::now();
+            let sets = read(&doc, &AtlasOptions::default(), &context);
+            let time = start.elapsed();
+            println!("{path} {time:?}");
+            match sets {
+                Err(e) => println!("   {e:?}"),
+                Ok(sets) => for set in &sets {
+                    let charts = Charts::new(&Topology::new(&set.atlas));
+                    let keys: std::collections::BTreeSet<_> = set.atlas.corners.iter().flatten().zip(set.atlas.surface.triangles.iter().flatten()).map(|(c, v)| (v.0, set.atlas.uv[c.index()].to_array().map(f64::to_bits))).collect();
+                    let (mut low, mut high) = (glam::DVec2::INFINITY, glam::DVec2::NEG_INFINITY);
+                    for p in &set.atlas.uv { low = low.min(*p); high = high.max(*p); }
+                    let area: f64 = set.atlas.faces().map(|f| set.atlas.uv_area(f).abs()).sum();
+                    println!("   {} {:?}: {} faces {} charts, replication {:.3} (shared {:.3}) sum/bbox {:.3} grid {:?} box {low} {high}", set.id, set.name, set.atlas.face_count(), charts.len(),
+                        set.atlas.uv.len() as f64 / set.atlas.surface.positions.len() as f64,
+                        keys.len() as f64 / set.atlas.surface.positions.len() as f64, area / (high - low).element_product(), set.grid);
+                    println!("      {}", set.slots.iter().map(|s| format!("{}={}:{}x{}{} ", s.name, s.image, s.header.width, s.header.height, if s.exempt {"!"} else {""})).collect::<String>());
+                },
+            }
+            for w in context.warnings() { println!("   warning {} {} {:?}", w.code, w.message, w.pointer); }
+        }
+    }
+}
