@@ -151,11 +151,12 @@ fn convert<const S: usize, const N: usize>(data: &[u8], one: impl Fn([u8; S]) ->
 /// # Errors
 /// `invalid_model` at the accessor, when it is not of unsigned integers or leaves its buffer.
 pub fn read_indices(doc: &Document, accessor: usize) -> Result<Vec<u32>> {
-    let raw = raw_elements(doc, accessor)?;
-    if raw.kind != Kind::Scalar {
-        let message = format!("indices are a {}, not SCALAR", raw.kind.name());
+    let kind = accessor_shape(doc, accessor)?.kind;
+    if kind != Kind::Scalar {
+        let message = format!("indices are a {}, not SCALAR", kind.name());
         return Err(Failure::model(message).at(format!("/accessors/{accessor}/type")));
     }
+    let raw = raw_elements(doc, accessor)?;
     unsigned(raw.component_type, &raw.data).ok_or_else(|| {
         let message = format!("indices have componentType {}, not 5121, 5123 or 5125", raw.component_type.gl());
         Failure::model(message).at(format!("/accessors/{accessor}/componentType"))

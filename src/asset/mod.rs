@@ -13,6 +13,7 @@ mod limits;
 mod load;
 mod obj;
 mod prune;
+pub mod sample;
 mod save;
 mod side_files;
 mod structure;
@@ -130,3 +131,6 @@ pub struct TextureSet {
     /// Smallest translation, in reference texels (x, y), for which every slot's texels stay whole; null where there is none.
     pub grid: Option<[u32; 2]>,
 }
+
+#[cfg(test)]
+mod tests;

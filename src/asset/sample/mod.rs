@@ -1,0 +1,60 @@
+//! Models made by code, to try things on and to test with. Each has a reason to exist, told at its name.
+
+mod lumpy;
+mod paint;
+mod parts;
+mod random;
+mod scene;
+mod surface;
+
+use crate::error::{Code, Failure, Result};
+
+type Maker = fn() -> scene::Scene;
+
+const SAMPLES: [(&str, Maker); 8] = [
+    ("textured", lumpy::textured),
+    ("fragmented", lumpy::fragmented),
+    ("overlapping", lumpy::overlapping),
+    ("tiled", lumpy::tiled),
+    ("skinned", parts::skinned),
+    ("quantized", lumpy::quantized),
+    ("strips", parts::strips),
+    ("two_materials", lumpy::two_materials),
+];
+
+/// The names that [`sample`] knows; the first is the one to start with.
+pub fn names() -> &'static [&'static str] {
+    const NAMES: [&str; SAMPLES.len()] = {
+        let mut names = [""; SAMPLES.len()];
+        let mut i = 0;
+        while i < names.len() {
+            names[i] = SAMPLES[i].0;
+            i += 1;
+        }
+        names
+    };
+    &NAMES
+}
+
+/// Makes a model with its textures, as GLB; the same bytes every time.
+///
+/// * `textured`: every slot of the core material and tangents; charts packed with room to spare.
+/// * `fragmented`: some 500 small charts, as scans have.
+/// * `overlapping`: mirrored halves that share texels, and an overlap by accident.
+/// * `tiled`: charts in other tiles under REPEAT.
+/// * `skinned`: skin, morph target, animation; two primitives on one material.
+/// * `quantized`: KHR_mesh_quantization, interleaved.
+/// * `strips`: a triangle strip over a sparse accessor, and a fan.
+/// * `two_materials`: two texture sets, and a primitive without UVs.
+///
+/// # Errors
+/// `invalid_options` when there is no sample of that name.
+pub fn sample(name: &str) -> Result<Vec<u8>> {
+    let maker = SAMPLES.iter().find(|(n, _)| *n == name).map(|(_, maker)| maker).ok_or_else(|| {
+        Failure::new(Code::InvalidOptions, format!("there is no sample {name:?}: choose one of {}", names().join(", ")))
+    })?;
+    maker().document.to_glb()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,95 @@
+//! What every sample promises.
+
+use glam::{DVec2, DVec3};
+
+use super::*;
+use crate::asset::{Document, File, Limits, load, read_indices, read_vec2, read_vec3, read_vec4};
+
+fn open(name: &str) -> Document {
+    let glb = sample(name).unwrap();
+    assert!(glb == sample(name).unwrap(), "the same bytes every time");
+    let file = File { path: format!("{name}.glb"), bytes: glb.clone() };
+    let (doc, warnings) = load(&[file], None, &Limits::default()).unwrap();
+    assert!(warnings.is_empty(), "{name}: {warnings:?}");
+    assert_eq!(doc.to_glb().unwrap(), glb, "{name} is saved as it is");
+    doc
+}
+
+fn triangles(doc: &Document, primitive: usize) -> Vec<[usize; 3]> {
+    let found = &doc.json["meshes"][0]["primitives"][primitive]["indices"];
+    let indices = read_indices(doc, found.as_u64().unwrap() as usize).unwrap();
+    indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]].map(|i| i as usize)).collect()
+}
+
+fn accessor(doc: &Document, primitive: usize, name: &str) -> usize {
+    doc.json["meshes"][0]["primitives"][primitive]["attributes"][name].as_u64().unwrap() as usize
+}
+
+#[test]
+fn every_sample_is_made_and_read_back() {
+    for name in names() {
+        let doc = open(name);
+        assert!(doc.images.iter().all(Option::is_some), "{name}");
+        for image in doc.images.iter().flatten() {
+            let reader = png::Decoder::new(std::io::Cursor::new(image)).read_info().unwrap();
+            assert!(reader.info().width >= 256, "{name}");
+        }
+    }
+    assert_eq!(sample("none").unwrap_err().code, Code::InvalidOptions);
+}
+
+/// Charts keep the surface's side, and tangents follow u, against the reader's own arithmetic.
+#[test]
+fn the_textured_sample_is_sound() {
+    let doc = open("textured");
+    let uvs = read_vec2(&doc, accessor(&doc, 0, "TEXCOORD_0")).unwrap();
+    let uvs: Vec<DVec2> = uvs.iter().map(|v| DVec2::from_array(v.map(f64::from))).collect();
+    let points = |name: &str| -> Vec<DVec3> {
+        read_vec3(&doc, accessor(&doc, 0, name)).unwrap().iter().map(|v| DVec3::from_array(v.map(f64::from))).collect()
+    };
+    let (positions, normals) = (points("POSITION"), points("NORMAL"));
+    let tangents = read_vec4(&doc, accessor(&doc, 0, "TANGENT")).unwrap();
+    let faces = triangles(&doc, 0);
+    assert!((3500..4500).contains(&faces.len()));
+    let mut covered = 0.0;
+    for face in faces {
+        let [a, b, c] = face.map(|v| positions[v]);
+        let [ua, ub, uc] = face.map(|v| uvs[v]);
+        let area = (ub - ua).perp_dot(uc - ua);
+        assert!(area < 0.0, "no chart is mirrored: v runs down");
+        covered -= area / 2.0;
+        let along = ((b - a) * (uc - ua).y - (c - a) * (ub - ua).y) / area;
+        let down = ((c - a) * (ub - ua).x - (b - a) * (uc - ua).x) / area;
+        for v in face {
+            let [x, y, z, w] = tangents[v].map(f64::from);
+            let tangent = DVec3::new(x, y, z);
+            assert!(tangent.dot(along.normalize()) > 0.8);
+            assert!((normals[v].cross(tangent) * w).dot(-down.normalize()) > 0.6);
+        }
+    }
+    assert!((0.2..0.6).contains(&covered), "{covered}");
+    assert!(uvs.iter().all(|uv| uv.min_element() > 0.0 && uv.max_element() < 1.0));
+}
+
+#[test]
+fn the_others_have_what_they_are_for() {
+    let doc = open("tiled");
+    let uvs = read_vec2(&doc, accessor(&doc, 0, "TEXCOORD_0")).unwrap();
+    assert!(uvs.iter().any(|uv| uv[0] > 1.0) && uvs.iter().any(|uv| uv[0] < 0.0));
+    let doc = open("overlapping");
+    let uvs = read_vec2(&doc, accessor(&doc, 0, "TEXCOORD_0")).unwrap();
+    assert_eq!(uvs[..uvs.len() / 2], uvs[uvs.len() / 2..]);
+    let doc = open("fragmented");
+    assert!(triangles(&doc, 0).len() > 10_000);
+    let doc = open("quantized");
+    let position = read_vec3(&doc, accessor(&doc, 0, "POSITION")).unwrap();
+    assert!(position.iter().flatten().all(|v| v.abs() <= 1.0) && position.iter().flatten().any(|v| v.abs() > 0.7));
+    let doc = open("strips");
+    let heights = read_vec3(&doc, accessor(&doc, 0, "POSITION")).unwrap();
+    assert!(heights.iter().any(|p| p[1] > 0.2) && heights.iter().any(|p| p[1] == 0.0));
+    let doc = open("skinned");
+    assert_eq!(doc.json["meshes"][0]["primitives"][0]["material"], doc.json["meshes"][0]["primitives"][1]["material"]);
+    let doc = open("two_materials");
+    assert!(doc.json["meshes"][0]["primitives"][2]["attributes"].get("TEXCOORD_0").is_none());
+    assert_eq!(doc.images.len(), 2);
+}
