@@ -25,12 +25,7 @@ const MOST_VIRTUAL_SHEETS: f64 = 64.0;
 /// # Errors
 /// The warning with which the set passes through: a palette, or a chart that repeats its texture and may or can
 /// not be baked out.
-pub(crate) fn bring_home(
-    atlas: &mut Atlas,
-    slots: &[Slot],
-    sheet: [u32; 2],
-    tiling: Tiling,
-) -> Result<(), Warning> {
+pub(crate) fn bring_home(atlas: &mut Atlas, slots: &[Slot], sheet: [u32; 2], tiling: Tiling) -> Result<(), Warning> {
     let area: f64 = atlas.faces().map(|f| atlas.uv_area(f).abs()).sum();
     if area < LEAST_AREA {
         let text = "the texture set is left as it is: its UVs have no area, so that it reads single texels";

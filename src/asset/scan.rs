@@ -194,13 +194,7 @@ fn material(value: &Value, textures: usize, i: usize) -> Result<Material> {
     Ok(Material { name, uses, alpha, animated: false })
 }
 
-fn texture_use(
-    info: &Value,
-    path: String,
-    role: Option<Role>,
-    textures: usize,
-    pointer: &str,
-) -> Result<TextureUse> {
+fn texture_use(info: &Value, path: String, role: Option<Role>, textures: usize, pointer: &str) -> Result<TextureUse> {
     let at = format!("{pointer}{path}");
     let texture = index(info, "index", textures, &at)?
         .ok_or_else(|| Failure::model("a texture is named without an index").at(at.clone()))?;
@@ -213,22 +207,16 @@ fn texture_use(
 /// Whether a texture transform changes nothing. One that names another TEXCOORD set does.
 fn is_identity(transform: &Value) -> bool {
     let pair = |key: &str, wanted: f64| {
-        transform.get(key).is_none_or(|v| {
-            v.as_array().is_some_and(|a| a.len() == 2 && a.iter().all(|x| x.as_f64() == Some(wanted)))
-        })
+        transform
+            .get(key)
+            .is_none_or(|v| v.as_array().is_some_and(|a| a.len() == 2 && a.iter().all(|x| x.as_f64() == Some(wanted))))
     };
     let turn = transform.get("rotation").is_none_or(|r| r.as_f64() == Some(0.0));
     pair("offset", 0.0) && pair("scale", 1.0) && turn && transform.get("texCoord").is_none()
 }
 
 /// Every `…Texture: {index}` below a material's extensions.
-fn extension_uses(
-    value: &Value,
-    path: &str,
-    textures: usize,
-    pointer: &str,
-    uses: &mut Vec<TextureUse>,
-) -> Result<()> {
+fn extension_uses(value: &Value, path: &str, textures: usize, pointer: &str, uses: &mut Vec<TextureUse>) -> Result<()> {
     match value {
         Value::Object(map) => {
             for (key, child) in map {

@@ -86,7 +86,8 @@ fn is_candidate(doc: &Document, scan: &Scan, primitive: &Primitive, uv_set: usiz
             free = false;
         }
         for other in material.uses.iter().filter(|u| u.uv_set != uv_set) {
-            let text = format!("the texture keeps its layout: it reads TEXCOORD_{}, not TEXCOORD_{uv_set}", other.uv_set);
+            let text =
+                format!("the texture keeps its layout: it reads TEXCOORD_{}, not TEXCOORD_{uv_set}", other.uv_set);
             context.warn(Warning::new("other_uv_set", text).at(format!("/materials/{m}{}", other.path)));
         }
         extension_texture(scan, m, uv_set, context);
@@ -233,12 +234,7 @@ impl Readers {
 }
 
 /// One image with what its readers say of it.
-fn slot(
-    doc: &Document,
-    image: usize,
-    mut readers: Readers,
-    context: &Context,
-) -> std::result::Result<Slot, Warning> {
+fn slot(doc: &Document, image: usize, mut readers: Readers, context: &Context) -> std::result::Result<Slot, Warning> {
     let at = format!("/images/{image}");
     let left = "the texture set is left as it is:";
     let bytes = doc.images.get(image).and_then(Option::as_ref);

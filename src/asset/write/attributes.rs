@@ -45,9 +45,12 @@ pub(super) fn emit(
     }
     let mut skin = Influences::default();
     if emitter.split {
-        skin = Influences::read(attributes, &vertices.appended, |name, accessor| {
-            emitter.checked(accessor, &format!("{pointer}/attributes/{name}"))
-        }, doc)?;
+        skin = Influences::read(
+            attributes,
+            &vertices.appended,
+            |name, accessor| emitter.checked(accessor, &format!("{pointer}/attributes/{name}")),
+            doc,
+        )?;
     }
     let all = !vertices.appended.is_empty();
     let written = format!("TEXCOORD_{}", layout[1]);

@@ -6,6 +6,8 @@ mod attributes;
 mod blend;
 mod read_back;
 mod skin;
+#[cfg(test)]
+mod tests;
 mod textures;
 mod turn;
 mod vertices;
@@ -183,7 +185,8 @@ fn pool(
         let atlas = sets[s].atlas;
         for &face in &faces[s][p] {
             let [width, height] = atlas.sheets[usize::from(atlas.page[face.index()])];
-            let uvs = atlas.uv_triangle(face).map(|uv| [(uv.x / f64::from(width)) as f32, (uv.y / f64::from(height)) as f32]);
+            let uvs =
+                atlas.uv_triangle(face).map(|uv| [(uv.x / f64::from(width)) as f32, (uv.y / f64::from(height)) as f32]);
             let turn = if turning { points[s].turn(face) } else { None };
             pool.add(points[s].of(face)?, uvs, turn);
         }

@@ -47,7 +47,10 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
         sheets: after.sheets.clone(),
         corners: vec![Default::default(); after.corners.len()],
         uv: Vec::new(),
-        surface: crate::atlas::Surface { triangles: vec![Default::default(); after.corners.len()], ..read.surface.clone() },
+        surface: crate::atlas::Surface {
+            triangles: vec![Default::default(); after.corners.len()],
+            ..read.surface.clone()
+        },
     };
     let order = owners.iter().flat_map(|(faces, page)| faces.iter().map(|f| (*f, *page)));
     // By UV vertex: its page, once known. Charts of two pages never share one, but for a vertex of equal UVs.
@@ -92,6 +95,7 @@ fn appended(doc: &Document, sets: &[Refined<'_>], wanted: (usize, usize), n: usi
     }
     let pointer = format!("/meshes/{mesh}");
     let count = doc.json.pointer(&pointer).map_or(0, |m| array(m, "primitives").len());
-    let first = count.checked_sub(total).ok_or_else(|| Failure::internal("written primitives are missing").at(pointer))?;
+    let first =
+        count.checked_sub(total).ok_or_else(|| Failure::internal("written primitives are missing").at(pointer))?;
     Ok(first + before + n - 1)
 }

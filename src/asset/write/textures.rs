@@ -105,9 +105,10 @@ impl<'a> Textures<'a> {
         for (s, refined) in self.sets.iter().enumerate() {
             for (i, slot) in refined.set.slots.iter().enumerate().filter(|(_, slot)| !slot.exempt) {
                 for page in 0..refined.atlas.sheets.len() {
-                    let baked = refined.images.iter().find(|b| b.slot == i && b.page == page).ok_or_else(|| {
-                        Failure::internal(format!("slot {} of page {page} was not baked", slot.name))
-                    })?;
+                    let baked =
+                        refined.images.iter().find(|b| b.slot == i && b.page == page).ok_or_else(|| {
+                            Failure::internal(format!("slot {} of page {page} was not baked", slot.name))
+                        })?;
                     let foreign = self.foreign_images.get(slot.image).copied().unwrap_or(true);
                     let image = place(out, slot.image, baked, page == 0 && !foreign);
                     self.images.insert((s, i, page), image);
@@ -153,7 +154,8 @@ impl<'a> Textures<'a> {
             edit(&mut out.json, &format!("/materials/{material}"), &edits, uv_set)?;
             material
         } else {
-            let mut clone = original.json.pointer(&format!("/materials/{material}")).cloned().unwrap_or_else(|| json!({}));
+            let mut clone =
+                original.json.pointer(&format!("/materials/{material}")).cloned().unwrap_or_else(|| json!({}));
             if let Some(Value::String(name)) = clone.get_mut("name")
                 && page > 0
             {
