@@ -9,7 +9,7 @@ use super::Document;
 use super::accessor::{accessor_count, read_indices, read_vec2, read_vec3};
 use super::json::{array, index};
 use super::scan::primitive_pointer;
-use crate::atlas::{Atlas, Charts, Topology, UvId, VertexId};
+use crate::atlas::{Atlas, UvId, VertexId};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
 
@@ -134,7 +134,7 @@ fn bits<const N: usize>(v: [f32; N]) -> [u32; N] {
 }
 
 /// The Atlas of some primitives: positions welded within a mesh where they are equal bit by bit, UVs within a
-/// welded vertex and a chart; UVs scaled to `size` texels. No provenance, page or sheet yet.
+/// welded vertex; UVs scaled to `size` texels. No provenance, page or sheet yet.
 ///
 /// # Errors
 /// `too_large` when 32 bits cannot count the corners.
@@ -177,25 +177,5 @@ pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -
             atlas.corners.push(ids.map(|i| UvId(i.1)));
         }
     }
-    separate_charts(&mut atlas);
     Ok(atlas)
-}
-
-/// Gives charts that touch at a UV vertex one each, so that each can move alone.
-fn separate_charts(atlas: &mut Atlas) {
-    let charts = Charts::new(&Topology::new(atlas));
-    let mut owner = vec![None; atlas.uv.len()];
-    let mut copies: HashMap<(UvId, u32), UvId> = HashMap::new();
-    let Atlas { uv, corners, .. } = atlas;
-    for (corners, chart) in corners.iter_mut().zip(&charts.of_face) {
-        for corner in corners {
-            let first = owner[corner.index()].get_or_insert(chart.0);
-            if *first != chart.0 {
-                *corner = *copies.entry((*corner, chart.0)).or_insert_with(|| {
-                    uv.push(uv[corner.index()]);
-                    UvId::new(uv.len() - 1)
-                });
-            }
-        }
-    }
 }

@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::Slot;
-use crate::atlas::{Atlas, Charts, Topology};
+use crate::atlas::{Atlas, Charts, FaceId, Topology, UvId};
 use crate::error::Warning;
 use crate::refine::options::Tiling;
 use crate::texture::Wrap;
@@ -15,6 +15,10 @@ const MOST_SHEETS: f64 = 4.0;
 const LEAST_AREA: f64 = 1.0;
 /// A chart may stick out of a tile by this many texels before it counts as repeating it.
 const SLACK: f64 = 1.0;
+/// Stands for several charts.
+const SHARED: u32 = u32::MAX - 1;
+/// A set without images, whose UVs may be in any unit, may cover this many of its virtual sheets.
+const MOST_VIRTUAL_SHEETS: f64 = 64.0;
 
 /// Moves charts by whole tiles into the first, where every slot repeats on that axis.
 ///
@@ -28,39 +32,66 @@ pub(crate) fn bring_home(atlas: &mut Atlas, slots: &[Slot], sheet: [u32; 2], til
         return Err(Warning::new("palette_texture", text));
     }
     let size = DVec2::new(f64::from(sheet[0]), f64::from(sheet[1]));
-    let wraps = [0, 1].map(|axis| common_wrap(slots, axis));
     let charts = Charts::new(&Topology::new(atlas));
     let boxes: Vec<(DVec2, DVec2)> = charts.ids().map(|c| bounds(atlas, &charts.faces[c.index()])).collect();
     check_tiling(&boxes, slots, size, tiling)?;
-    let mut moved = vec![false; atlas.uv.len()];
-    for (faces, (low, high)) in charts.faces.iter().zip(&boxes) {
-        let mut shift = DVec2::ZERO;
-        for axis in 0..2 {
-            let tile = match wraps[axis] {
-                Some(Wrap::Repeat) => size[axis],
-                // Two tiles: an odd one is mirrored.
-                Some(Wrap::MirroredRepeat) => 2.0 * size[axis],
-                _ => continue,
-            };
-            shift[axis] = -(home(low[axis], high[axis], size[axis]) / tile).floor() * tile;
+    // By UV vertex: the chart that it belongs to, and its copy for the chart that is being moved.
+    let mut owner = vec![u32::MAX; atlas.uv.len()];
+    let mut copy = vec![(u32::MAX, UvId(0)); atlas.uv.len()];
+    for (corners, chart) in atlas.corners.iter().zip(&charts.of_face) {
+        for corner in corners {
+            let owner = &mut owner[corner.index()];
+            *owner = if *owner == u32::MAX || *owner == chart.0 { chart.0 } else { SHARED };
         }
+    }
+    let mut shifts = vec![DVec2::ZERO; charts.len()];
+    for axis in 0..2 {
+        let tile = match common_wrap(slots, axis) {
+            Some(Wrap::Repeat) => size[axis],
+            // Two tiles: an odd one is mirrored.
+            Some(Wrap::MirroredRepeat) => 2.0 * size[axis],
+            _ => continue,
+        };
+        let middles: Vec<f64> = boxes.iter().map(|(low, high)| 0.5 * (low[axis] + high[axis])).collect();
+        for (shift, tiles) in shifts.iter_mut().zip(tiles_from_home(&middles, tile)) {
+            shift[axis] = -tiles * tile;
+        }
+    }
+    for (chart, (faces, &shift)) in charts.faces.iter().zip(&shifts).enumerate() {
         if shift == DVec2::ZERO {
             continue;
         }
-        for corner in faces.iter().flat_map(|f| atlas.corners[f.index()]) {
-            // A UV vertex belongs to one chart.
-            if !std::mem::replace(&mut moved[corner.index()], true) {
-                atlas.uv[corner.index()] += shift;
+        let chart = chart as u32;
+        for face in faces {
+            for corner in &mut atlas.corners[face.index()] {
+                let known = &mut copy[corner.index()];
+                if known.0 != chart {
+                    let uv = atlas.uv[corner.index()] + shift;
+                    *known = (chart, *corner);
+                    if owner[corner.index()] == SHARED {
+                        known.1 = UvId::new(atlas.uv.len());
+                        atlas.uv.push(uv);
+                    } else {
+                        atlas.uv[corner.index()] = uv;
+                    }
+                }
+                *corner = known.1;
             }
         }
     }
     Ok(())
 }
 
-/// The coordinate whose tile is a chart's own: its middle, or its low end when it is larger than a tile. A
-/// chart that lies across a tile's border by a little thus stays with those that it shares texels with.
-fn home(low: f64, high: f64, tile: f64) -> f64 {
-    if high - low > tile + SLACK { low + SLACK } else { 0.5 * (low + high) }
+/// How many tiles each chart is away, told by its middle: one that lies across a border by a little stays with those
+/// that it shares texels with. Charts whose middles span less than a tile have no copies in other tiles, and move
+/// together or not at all.
+fn tiles_from_home(middles: &[f64], tile: f64) -> Vec<f64> {
+    let (low, high) = middles.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+    if high - low < tile - SLACK {
+        return vec![(0.5 * (low + high) / tile).floor(); middles.len()];
+    }
+    // Copies in two tiles differ by rounding: the border is put where no chart's middle should be.
+    middles.iter().map(|x| ((x + 0.25 * SLACK) / tile).floor()).collect()
 }
 
 /// The wrap mode of an axis, where all slots agree.
@@ -69,7 +100,7 @@ fn common_wrap(slots: &[Slot], axis: usize) -> Option<Wrap> {
     slots.iter().all(|s| s.wrap[axis] == first).then_some(first)
 }
 
-fn bounds(atlas: &Atlas, faces: &[crate::atlas::FaceId]) -> (DVec2, DVec2) {
+fn bounds(atlas: &Atlas, faces: &[FaceId]) -> (DVec2, DVec2) {
     let start = (DVec2::INFINITY, DVec2::NEG_INFINITY);
     faces.iter().flat_map(|f| atlas.uv_triangle(*f)).fold(start, |(low, high), p| (low.min(p), high.max(p)))
 }
@@ -82,13 +113,89 @@ fn check_tiling(boxes: &[(DVec2, DVec2)], slots: &[Slot], size: DVec2, tiling: T
         return Err(Warning::new("tiling_left", text));
     }
     let sum: f64 = boxes.iter().map(|(low, high)| (*high - *low).element_product()).sum();
-    let most = MOST_SHEETS * size.element_product();
-    if (larger(0) || larger(1)) && !(sum <= most) {
+    let sheets = sum / size.element_product();
+    let most = if slots.is_empty() { MOST_VIRTUAL_SHEETS } else { MOST_SHEETS };
+    // Not a number where coordinates are beyond all measure.
+    if (larger(0) || larger(1)) && (sheets > most || sheets.is_nan()) {
         let text = format!(
-            "the texture set is left as it is: its charts repeat their texture over {:.1} sheets, and at most {MOST_SHEETS} are baked out",
-            sum / size.element_product()
+            "the texture set is left as it is: its charts spread over {sheets:.1} sheets, and at most {most} are made"
         );
         return Err(Warning::new("tiling_too_large", text));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::fixture::slot;
+    use crate::atlas::{Provenance, Surface, VertexId};
+    use glam::DVec3;
+
+    const SHEET: [u32; 2] = [100, 50];
+
+    /// An Atlas of loose triangles: the corner at `(x, y)` and sides of length `s`.
+    fn triangles(places: &[(f64, f64, f64)]) -> Atlas {
+        let mut atlas = Atlas { surface: Surface::default(), sheets: vec![SHEET], ..Atlas::default() };
+        for (i, &(x, y, s)) in places.iter().enumerate() {
+            let ids = [0, 1, 2].map(|k| 3 * i + k);
+            atlas.surface.positions.extend([DVec3::ZERO, DVec3::X, DVec3::Y]);
+            atlas.surface.triangles.push(ids.map(VertexId::new));
+            atlas.uv.extend([DVec2::new(x, y), DVec2::new(x + s, y), DVec2::new(x, y + s)]);
+            atlas.corners.push(ids.map(UvId::new));
+            atlas.provenance.push(Provenance::whole(FaceId::new(i), 0));
+            atlas.page.push(0);
+        }
+        atlas
+    }
+
+    fn moved(places: &[(f64, f64, f64)], wrap: [Wrap; 2], tiling: Tiling) -> Result<Vec<(f64, f64)>, String> {
+        let mut atlas = triangles(places);
+        let slots = [crate::asset::Slot { wrap, ..slot(0, SHEET) }];
+        bring_home(&mut atlas, &slots, SHEET, tiling).map_err(|w| w.code)?;
+        Ok(atlas.uv.chunks(3).map(|c| (c[0].x, c[0].y)).collect())
+    }
+
+    #[test]
+    fn each_axis_follows_its_own_wrap_mode() {
+        let places = [(10.0, 10.0, 20.0), (310.0, -140.0, 20.0)];
+        let home = |wrap| moved(&places, wrap, Tiling::Bake).unwrap()[1];
+        assert_eq!(home([Wrap::Repeat, Wrap::Repeat]), (10.0, 10.0));
+        assert_eq!(home([Wrap::Repeat, Wrap::ClampToEdge]), (10.0, -140.0));
+        // Three tiles to the left is two and one that is mirrored; -3 tiles is -4 and the second of a pair.
+        assert_eq!(home([Wrap::MirroredRepeat, Wrap::MirroredRepeat]), (110.0, 60.0));
+        assert_eq!(home([Wrap::ClampToEdge, Wrap::ClampToEdge]), (310.0, -140.0));
+    }
+
+    #[test]
+    fn charts_across_a_border_stay_together() {
+        let repeat = [Wrap::Repeat; 2];
+        let across = [(-10.0, 5.0, 15.0), (60.0, 5.0, 30.0)];
+        assert_eq!(moved(&across, repeat, Tiling::Bake).unwrap(), [(-10.0, 5.0), (60.0, 5.0)]);
+        // With a copy in the next tile the two become one.
+        let copied = [(-10.0, 5.0, 15.0), (60.0, 5.0, 30.0), (90.0, 5.0, 15.0)];
+        assert_eq!(moved(&copied, repeat, Tiling::Bake).unwrap(), [(90.0, 5.0), (60.0, 5.0), (90.0, 5.0)]);
+    }
+
+    #[test]
+    fn a_vertex_of_two_charts_is_parted_when_one_moves() {
+        let mut atlas = triangles(&[(80.0, 5.0, 30.0), (110.0, 5.0, 40.0), (250.0, 5.0, 20.0)]);
+        atlas.corners[1][0] = atlas.corners[0][1];
+        atlas.surface.triangles[1][0] = atlas.surface.triangles[0][1];
+        let before = [0, 1].map(|f| atlas.uv_area(FaceId(f)));
+        bring_home(&mut atlas, &[slot(0, SHEET)], SHEET, Tiling::Bake).unwrap();
+        assert_eq!([0, 1].map(|f| atlas.uv_area(FaceId(f))), before);
+        assert_eq!(atlas.uv_triangle(FaceId(1))[0], DVec2::new(10.0, 5.0));
+    }
+
+    #[test]
+    fn tiling_and_palettes_pass_through_by_name() {
+        let tiling = |side: f64, wrap, mode| moved(&[(0.0, 0.0, side)], [wrap; 2], mode).err();
+        assert_eq!(tiling(120.0, Wrap::Repeat, Tiling::Bake), None);
+        assert_eq!(tiling(120.0, Wrap::Repeat, Tiling::Leave).as_deref(), Some("tiling_left"));
+        assert_eq!(tiling(120.0, Wrap::ClampToEdge, Tiling::Leave), None);
+        assert_eq!(tiling(150.0, Wrap::Repeat, Tiling::Bake).as_deref(), Some("tiling_too_large"));
+        assert_eq!(tiling(1e200, Wrap::ClampToEdge, Tiling::Bake).as_deref(), Some("tiling_too_large"));
+        assert_eq!(tiling(0.01, Wrap::Repeat, Tiling::Bake).as_deref(), Some("palette_texture"));
+    }
 }

@@ -32,6 +32,8 @@ pub use limits::Limits;
 pub use load::load;
 pub use side_files::read_paths;
 
+#[cfg(test)]
+mod fixture;
 mod geometry;
 mod home;
 mod json;

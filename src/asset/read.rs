@@ -101,3 +101,189 @@ fn name(doc: &Document, scan: &Scan, planned: &Planned) -> String {
     }
     joined.chars().take(LONGEST_NAME - 1).chain(['…']).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::fixture::{attribute, bowtie, document, mesh, png, primitive};
+    use crate::asset::{RawAccessor, mark_uniform, small_slot_warning};
+    use crate::error::{Code, Failure};
+    use serde_json::{Value, json};
+
+    fn read_all(doc: &Document) -> (Result<Vec<TextureSet>>, Vec<String>) {
+        let context = Context::silent();
+        let sets = read(doc, &AtlasOptions::default(), &context);
+        (
+            sets,
+            context.warnings().iter().map(|w| format!("{} {}", w.code, w.pointer.as_deref().unwrap_or(""))).collect(),
+        )
+    }
+
+    fn sets_of(doc: &Document) -> Vec<TextureSet> {
+        let (sets, warnings) = read_all(doc);
+        assert_eq!(warnings, Vec::<String>::new());
+        sets.unwrap()
+    }
+
+    /// Nothing is refined, and this is why.
+    fn left(doc: &Document) -> Vec<String> {
+        let (sets, warnings) = read_all(doc);
+        assert!(sets.unwrap().is_empty());
+        warnings
+    }
+
+    fn model(images: &[[u32; 2]]) -> Document {
+        let mut doc = document(images);
+        let p = bowtie(&mut doc);
+        mesh(&mut doc, vec![p]);
+        doc
+    }
+
+    #[test]
+    fn a_set_is_what_images_connect() {
+        let mut doc = document(&[[16, 8], [8, 8], [4, 4]]);
+        let texture = |i: usize| json!({ "pbrMetallicRoughness": { "baseColorTexture": { "index": i } } });
+        // 0 and 2 share image 0; material 3 joins image 1 to them; image 2 stands alone.
+        let mut both = texture(1);
+        both["emissiveTexture"] = json!({ "index": 0 });
+        doc.json["materials"] = json!([texture(0), texture(2), texture(0), both, {}]);
+        let primitives = [0, 1, 2, 3, 4].map(|m| {
+            let mut p = bowtie(&mut doc);
+            p["material"] = Value::from(m);
+            p
+        });
+        mesh(&mut doc, primitives.to_vec());
+        let sets = sets_of(&doc);
+        let parts: Vec<Vec<usize>> = sets.iter().map(|s| s.primitives.iter().map(|p| p.primitive).collect()).collect();
+        assert_eq!(parts, [vec![0, 2, 3], vec![1]]);
+        let slots: Vec<_> = sets[0].slots.iter().map(|s| (s.image, s.name.as_str(), s.primitives.clone())).collect();
+        assert_eq!(slots, [(0, "base_color", vec![0, 1, 2]), (1, "base_color_2", vec![2])]);
+        assert_eq!((sets[0].reference, sets[0].grid), ([16, 8], Some([2, 1])));
+        // Welded within the mesh: three primitives on the same five places, with the same UVs.
+        assert_eq!((sets[0].atlas.surface.positions.len(), sets[0].atlas.uv.len()), (5, 5));
+        assert_eq!(sets[0].primitives[1].first_face, 2);
+        assert_eq!(sets[0].atlas.uv[0], glam::DVec2::new(8.0, 4.0));
+    }
+
+    #[test]
+    fn small_slots_are_told_apart_by_their_texels() {
+        let mut doc = model(&[[90, 90], [60, 60], [7, 7]]);
+        doc.json["materials"][0]["emissiveTexture"] = json!({ "index": 1 });
+        doc.json["materials"][0]["normalTexture"] = json!({ "index": 2 });
+        let mut set = sets_of(&doc).remove(0);
+        assert_eq!(set.grid, None);
+        mark_uniform(&mut set, 2);
+        assert_eq!(set.grid, Some([1, 1]), "the small slot does not count");
+        assert!(small_slot_warning(&set, 1).is_some() && small_slot_warning(&set, 0).is_none());
+        assert!(small_slot_warning(&set, 2).is_none());
+    }
+
+    #[test]
+    fn what_cannot_be_refined_passes_through_by_name() {
+        let change = |pointer: &str, value: Value| {
+            let mut doc = model(&[[16, 8], [16, 8]]);
+            let (parent, key) = pointer.rsplit_once('/').unwrap();
+            doc.json.pointer_mut(parent).unwrap()[key] = value;
+            left(&doc)
+        };
+        let info = "/materials/0/pbrMetallicRoughness/baseColorTexture";
+        let moved = json!({ "KHR_texture_transform": { "offset": [0.5, 0] } });
+        assert_eq!(change(&format!("{info}/extensions"), moved), ["texture_transform_unsupported /materials/0"]);
+        assert_eq!(change(&format!("{info}/texCoord"), json!(1)), [format!("other_uv_set {info}")]);
+        let coat = json!({ "KHR_materials_clearcoat": { "clearcoatTexture": { "index": 1 } } });
+        let at = "/materials/0/extensions";
+        let expected = format!("material_extension_texture {at}/KHR_materials_clearcoat/clearcoatTexture");
+        assert_eq!(change(at, coat), [expected]);
+        assert_eq!(change("/materials/0/normalTexture", json!({ "index": 0 })), ["image_role_conflict /images/0"]);
+        let at = "/meshes/0/primitives/0/extensions";
+        assert_eq!(change(at, json!({ "X_y": {} })), [format!("primitive_extension {at}/X_y")]);
+        let at = "/meshes/0/primitives/0/targets";
+        assert_eq!(change(at, json!([{ "TEXCOORD_0": 2 }])), [format!("texcoord_morph {at}")]);
+        let source = json!({ "KHR_texture_basisu": { "source": 1 } });
+        assert_eq!(change("/textures/0/extensions", source), ["texture_extension /textures/0/extensions"]);
+        let target = json!({ "extensions": { "KHR_animation_pointer": {
+            "pointer": "/materials/0/pbrMetallicRoughness/baseColorTexture/extensions/KHR_texture_transform/offset" } } });
+        let animation = json!([{ "channels": [{ "target": target }] }]);
+        assert_eq!(change("/animations", animation), ["texture_transform_unsupported /materials/0"]);
+        let identity = json!({ "KHR_texture_transform": { "offset": [0, 0.0], "rotation": 0 } });
+        let mut doc = model(&[[16, 8]]);
+        doc.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] = identity;
+        assert_eq!(sets_of(&doc).len(), 1);
+        for (bytes, code) in [(None, "missing_image"), (Some(b"no image".to_vec()), "invalid_image")] {
+            let mut doc = model(&[[16, 8]]);
+            doc.images[0] = bytes;
+            assert_eq!(left(&doc), [format!("{code} /images/0")]);
+        }
+    }
+
+    #[test]
+    fn models_without_images_get_a_virtual_page() {
+        let set = sets_of(&model(&[])).remove(0);
+        assert_eq!((set.reference, set.slots.len(), set.atlas.face_count()), ([1024, 1024], 0, 2));
+        // With an image that nothing reads there is nothing to refine.
+        let mut doc = model(&[]);
+        doc.json["images"] = json!([{}]);
+        doc.images.push(Some(png(2, 2)));
+        assert!(left(&doc).is_empty());
+    }
+
+    #[test]
+    fn broken_geometry_is_named() {
+        fn failure(change: impl FnOnce(&mut Document)) -> Failure {
+            let mut doc = model(&[[16, 8]]);
+            change(&mut doc);
+            read_all(&doc).0.unwrap_err()
+        }
+        let set = |doc: &mut Document, name: &str, accessor: usize| {
+            doc.json["meshes"][0]["primitives"][0]["attributes"][name] = Value::from(accessor);
+        };
+        let nan = failure(|doc| {
+            let a = attribute(doc, &[[0.0, f32::NAN, 0.0]; 5]);
+            set(doc, "POSITION", a);
+        });
+        assert_eq!((nan.code, nan.pointer.as_deref()), (Code::InvalidModel, Some("/accessors/4")));
+        let infinite = failure(|doc| {
+            let a = attribute(doc, &[[0.0, f32::INFINITY]; 5]);
+            set(doc, "TEXCOORD_0", a);
+        });
+        assert_eq!(infinite.pointer.as_deref(), Some("/accessors/4"));
+        let few = failure(|doc| {
+            let a = attribute(doc, &[[0.0, 0.5]; 4]);
+            set(doc, "TEXCOORD_0", a);
+        });
+        assert_eq!(few.pointer.as_deref(), Some("/meshes/0/primitives/0/attributes/TEXCOORD_0"));
+        let range = failure(|doc| {
+            let i = doc.append_accessor(&RawAccessor::from_indices(&[0, 1, 5]), None, false);
+            doc.json["meshes"][0]["primitives"][0]["indices"] = Value::from(i);
+        });
+        assert_eq!(range.pointer.as_deref(), Some("/accessors/4"));
+        for pointer in ["/meshes/0/primitives/0/material", "/textures/0/source"] {
+            let wrong = failure(|doc| *doc.json.pointer_mut(pointer).unwrap() = json!(99));
+            assert_eq!(wrong.pointer.as_deref(), Some(pointer));
+        }
+    }
+
+    #[test]
+    fn strips_fans_and_leftovers() {
+        let faces = |mode: u64, indices: &[u32]| {
+            let mut doc = document(&[[16, 8]]);
+            let mut p = bowtie(&mut doc);
+            p["mode"] = Value::from(mode);
+            p["indices"] = Value::from(doc.append_accessor(&RawAccessor::from_indices(indices), None, false));
+            mesh(&mut doc, vec![p]);
+            let (sets, warnings) = read_all(&doc);
+            (sets.unwrap().first().map_or_else(Vec::new, |s| s.primitives[0].corners.clone()), warnings.len())
+        };
+        assert_eq!(faces(5, &[0, 1, 2, 3]), (vec![[0, 1, 2], [1, 3, 2]], 0));
+        assert_eq!(faces(6, &[0, 1, 2, 3]), (vec![[1, 2, 0], [2, 3, 0]], 0));
+        assert_eq!(faces(4, &[0, 1, 2, 3]), (vec![[0, 1, 2]], 1));
+        assert_eq!(faces(4, &[0, 1]), (vec![], 1));
+        assert_eq!(faces(1, &[0, 1]), (vec![], 0));
+        let mut doc = document(&[[16, 8]]);
+        let p = attribute(&mut doc, &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        let t = attribute(&mut doc, &[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]);
+        let plain = primitive(&mut doc, &[("POSITION", p), ("TEXCOORD_0", t)], &[]);
+        mesh(&mut doc, vec![plain]);
+        assert_eq!(sets_of(&doc)[0].primitives[0].corners, [[0, 1, 2]]);
+    }
+}

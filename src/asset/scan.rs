@@ -84,8 +84,6 @@ pub(crate) struct Primitive {
     pub(crate) default_material: Option<usize>,
     /// Accessor of POSITION.
     pub(crate) positions: Option<usize>,
-    /// Accessor of indices.
-    pub(crate) indices: Option<usize>,
 }
 
 impl Primitive {
@@ -264,8 +262,8 @@ fn primitive(json: &Value, value: &Value, m: usize, p: usize) -> Result<Primitiv
         .filter(|a| a.is_object())
         .ok_or_else(|| Failure::model("the primitive has no attributes").at(format!("{pointer}/attributes")))?;
     let positions = index(attributes, "POSITION", accessors, &format!("{pointer}/attributes"))?;
-    let indices = index(value, "indices", accessors, &pointer)?;
-    Ok(Primitive { mesh: m, primitive: p, mode, materials, default_material, positions, indices })
+    index(value, "indices", accessors, &pointer)?;
+    Ok(Primitive { mesh: m, primitive: p, mode, materials, default_material, positions })
 }
 
 /// Materials of which an animation moves a texture transform (KHR_animation_pointer).

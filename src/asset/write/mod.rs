@@ -6,6 +6,8 @@ mod attributes;
 mod blend;
 mod read_back;
 mod skin;
+#[cfg(test)]
+mod tests;
 mod textures;
 mod turn;
 mod vertices;
