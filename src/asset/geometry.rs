@@ -133,6 +133,9 @@ fn bits<const N: usize>(v: [f32; N]) -> [u32; N] {
     v.map(|x| (x + 0.0).to_bits())
 }
 
+/// Surface vertex and UV vertex by glTF vertex.
+type Ids = Vec<(u32, u32)>;
+
 /// The Atlas of some primitives: positions welded within a mesh where they are equal bit by bit, UVs within a
 /// welded vertex; UVs scaled to `size` texels. No provenance, page or sheet yet.
 ///
@@ -149,7 +152,8 @@ pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -
     // Looked up, never walked: the order of ids is that of first use.
     let mut vertices: HashMap<(usize, [u32; 3]), u32> = HashMap::new();
     let mut uvs: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
-    let mut tables: HashMap<(usize, (usize, usize)), Vec<(u32, u32)>> = HashMap::new();
+    // By mesh and accessors: the ids of each glTF vertex, once it is used.
+    let mut tables: HashMap<(usize, (usize, usize)), Ids> = HashMap::new();
     for geometry in primitives {
         context.check()?;
         let known = tables

@@ -82,6 +82,12 @@ pub(crate) fn bring_home(atlas: &mut Atlas, slots: &[Slot], sheet: [u32; 2], til
     Ok(())
 }
 
+/// Whether UVs leave the image by more than a texel, where wrap modes differ.
+pub(crate) fn leaves_tile(atlas: &Atlas, sheet: [u32; 2]) -> bool {
+    let inside = |x: f64, size: u32| (-SLACK..=f64::from(size) + SLACK).contains(&x);
+    atlas.uv.iter().any(|p| !inside(p.x, sheet[0]) || !inside(p.y, sheet[1]))
+}
+
 /// How many tiles each chart is away, told by its middle: one that lies across a border by a little stays with those
 /// that it shares texels with. Charts whose middles span less than a tile have no copies in other tiles, and move
 /// together or not at all.

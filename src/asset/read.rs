@@ -1,13 +1,13 @@
 //! From a document to its texture sets.
 
 use super::geometry::{Geometry, Reader, weld};
-use super::home::bring_home;
+use super::home::{bring_home, leaves_tile};
 use super::scan::{Scan, scan};
 use super::sets::{Planned, grid, plan};
 use super::{Document, PrimitiveRef, TextureSet};
 use crate::atlas::{FaceId, Provenance};
 use crate::context::Context;
-use crate::error::Result;
+use crate::error::{Result, Warning};
 use crate::refine::options::AtlasOptions;
 
 /// Longest name of a texture set, in characters.
@@ -49,6 +49,13 @@ fn read_set(
     }
     let mut atlas = weld(&geometries, planned.reference, context)?;
     if atlas.corners.is_empty() {
+        return Ok(None);
+    }
+    if let Some(image) = planned.conflict
+        && leaves_tile(&atlas, planned.reference)
+    {
+        let text = "the texture set is left as it is: UVs leave the image, which is read with several wrap modes";
+        context.warn(Warning::new("sampler_conflict", text).at(format!("/images/{image}")));
         return Ok(None);
     }
     if let Err(warning) = bring_home(&mut atlas, &planned.slots, planned.reference, options.tiling) {
@@ -213,6 +220,25 @@ mod tests {
             let mut doc = model(&[[16, 8]]);
             doc.images[0] = bytes;
             assert_eq!(left(&doc), [format!("{code} /images/0")]);
+        }
+    }
+
+    #[test]
+    fn wrap_modes_may_differ_inside_the_image_only() {
+        for (shift, expected) in [(0.0, 1), (0.6, 0)] {
+            let mut doc = document(&[[16, 16]]);
+            doc.json["samplers"] = json!([{ "wrapS": 33071 }]);
+            doc.push("textures", json!({ "source": 0, "sampler": 0 }));
+            doc.push("materials", json!({ "emissiveTexture": { "index": 1 } }));
+            let first = bowtie(&mut doc);
+            let mut second = first.clone();
+            second["material"] = Value::from(1);
+            let places = [[0.5, 0.5], [0.25, 0.75], [0.25, 0.25], [0.75, 0.25], [0.75, 0.75]];
+            let uvs = attribute(&mut doc, &places.map(|[u, v]| [u + shift, v]));
+            second["attributes"]["TEXCOORD_0"] = Value::from(uvs);
+            mesh(&mut doc, vec![first, second]);
+            let (sets, warnings) = read_all(&doc);
+            assert_eq!((sets.unwrap().len(), warnings.len()), (expected, 1 - expected));
         }
     }
 

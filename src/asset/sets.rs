@@ -22,6 +22,8 @@ pub(crate) struct Planned {
     pub(crate) slots: Vec<Slot>,
     /// Size of the largest slot.
     pub(crate) reference: [u32; 2],
+    /// The first image, if any, that is read with several wrap modes: they agree only inside the image.
+    pub(crate) conflict: Option<usize>,
 }
 
 /// Sheet of a set without images.
@@ -45,7 +47,7 @@ pub(crate) fn plan(doc: &Document, scan: &Scan, uv_set: usize, context: &Context
         }
     }
     if sets.is_empty() && array(&doc.json, "images").is_empty() && !candidates.is_empty() {
-        sets.push(Planned { primitives: candidates, slots: Vec::new(), reference: VIRTUAL_SHEET });
+        sets.push(Planned { primitives: candidates, slots: Vec::new(), reference: VIRTUAL_SHEET, conflict: None });
     }
     Ok(sets)
 }
@@ -65,8 +67,8 @@ fn is_candidate(doc: &Document, scan: &Scan, primitive: &Primitive, uv_set: usiz
     if !primitive.is_triangles() || primitive.positions.is_none() || !has_uvs {
         return false;
     }
-    let keys = object(value, "extensions").into_iter().flat_map(|e| e.keys());
-    let strange = keys.filter(|k| *k != "KHR_materials_variants" && !READERS.contains(&k.as_str())).next();
+    let mut keys = object(value, "extensions").into_iter().flat_map(|e| e.keys());
+    let strange = keys.find(|k| *k != "KHR_materials_variants" && !READERS.contains(&k.as_str()));
     if let Some(key) = strange {
         let text = format!("the primitive is left as it is: its extension {key} is not supported");
         context.warn(Warning::new("primitive_extension", text).at(format!("{pointer}/extensions/{key}")));
@@ -178,9 +180,11 @@ fn planned(
             }
         }
     }
-    let mut slots = Vec::new();
+    let (mut slots, mut conflict) = (Vec::new(), None);
     for &image in images {
-        match slot(doc, image, readers.remove(&image).unwrap_or_default(), context) {
+        let readers = readers.remove(&image).unwrap_or_default();
+        conflict = conflict.or((readers.wraps.len() > 1).then_some(image));
+        match slot(doc, image, readers) {
             Ok(slot) => slots.push(slot),
             Err(warning) => {
                 context.warn(warning);
@@ -202,7 +206,7 @@ fn planned(
     let size = |h: &Header| u64::from(h.width) * u64::from(h.height);
     let largest = slots.iter().map(|s| &s.header).reduce(|a, b| if size(b) > size(a) { b } else { a });
     let reference = largest.map_or(VIRTUAL_SHEET, |h| [h.width, h.height]);
-    Some(Planned { primitives, slots, reference })
+    Some(Planned { primitives, slots, reference, conflict })
 }
 
 /// What the readers of one image say of it, in order.
@@ -234,7 +238,7 @@ impl Readers {
 }
 
 /// One image with what its readers say of it.
-fn slot(doc: &Document, image: usize, mut readers: Readers, context: &Context) -> std::result::Result<Slot, Warning> {
+fn slot(doc: &Document, image: usize, mut readers: Readers) -> std::result::Result<Slot, Warning> {
     let at = format!("/images/{image}");
     let left = "the texture set is left as it is:";
     let bytes = doc.images.get(image).and_then(Option::as_ref);
@@ -245,10 +249,6 @@ fn slot(doc: &Document, image: usize, mut readers: Readers, context: &Context) -
     if readers.roles.iter().any(|r| (r.is_srgb(), r.is_direction()) != (role.is_srgb(), role.is_direction())) {
         let text = format!("{left} the image is read both as {} and as other data", role.as_str());
         return Err(Warning::new("image_role_conflict", text).at(at));
-    }
-    if readers.wraps.len() > 1 {
-        let text = "the image is read with several wrap modes: the first is taken";
-        context.warn(Warning::new("sampler_conflict", text).at(at));
     }
     Ok(Slot {
         image,

@@ -110,7 +110,7 @@ impl Emitter<'_> {
         }
         // Floats at the most.
         let size = 4 * shape.kind.components() as u64;
-        let held: u64 = self.out.buffers.iter().map(|b| b.len() as u64).sum();
+        let held = self.out.buffers.first().map_or(0, |b| b.len() as u64);
         if held.saturating_add(size.saturating_mul(self.vertices.uvs.len() as u64)) > MOST_BYTES {
             return Err(Failure::new(Code::TooLarge, "the refined vertices are more than a GLB can hold").at(at));
         }

@@ -1,5 +1,7 @@
 //! The Atlas of a set as a written file has it.
 
+use std::collections::{BTreeMap, HashMap};
+
 use super::{Refined, faces_of, has_readers, last_uv_set, pages};
 use crate::asset::Document;
 use crate::asset::geometry::{Geometry, Reader, weld};
@@ -18,6 +20,7 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
     let refined = sets.get(index).ok_or_else(|| Failure::internal("there is no such set"))?;
     let (set, after) = (refined.set, refined.atlas);
     let faces = faces_of(set, after)?;
+    let appended = if after.sheets.len() > 1 { appended(doc, sets)? } else { BTreeMap::new() };
     let mut reader = Reader::new(doc);
     // Geometries, the faces that they hold, and the page of each.
     let mut parts: Vec<(Geometry, Vec<FaceId>, u16)> = Vec::new();
@@ -25,7 +28,7 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
         for (n, page) in pages(after, &faces[p]).into_iter().enumerate() {
             let number = match n {
                 0 => primitive.primitive,
-                _ => appended(doc, sets, (index, p), n)?,
+                _ => appended.get(&(index, p)).map_or(usize::MAX, |first| first + n - 1),
             };
             let value = doc.json.pointer(&primitive_pointer(primitive.mesh, number));
             let value = value.ok_or_else(|| Failure::internal("a written primitive is missing"))?;
@@ -53,8 +56,9 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
         },
     };
     let order = owners.iter().flat_map(|(faces, page)| faces.iter().map(|f| (*f, *page)));
-    // By UV vertex: its page, once known. Charts of two pages never share one, but for a vertex of equal UVs.
+    // Corners on two pages may have equal UVs in the file: each page has its own. Looked up, never walked.
     let mut scaled = vec![None; read.uv.len()];
+    let mut copies: HashMap<(UvId, u16), UvId> = HashMap::new();
     atlas.uv = read.uv.clone();
     for (i, (face, page)) in order.enumerate() {
         atlas.surface.triangles[face.index()] = read.surface.triangles[i];
@@ -69,8 +73,10 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
                 }
                 Some(first) if first == page => {}
                 Some(_) => {
-                    atlas.uv.push(read.uv[corner.index()] * size);
-                    *corner = UvId::new(atlas.uv.len() - 1);
+                    *corner = *copies.entry((*corner, page)).or_insert_with(|| {
+                        atlas.uv.push(read.uv[corner.index()] * size);
+                        UvId::new(atlas.uv.len() - 1)
+                    });
                 }
             }
         }
@@ -79,23 +85,25 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
     Ok(atlas)
 }
 
-/// Number of the primitive that [`super::write`] appended for the `n`-th page of a primitive: they stand at the mesh's
+/// Numbers of the first primitive that [`super::write`] appended for each (set, primitive): they stand at their mesh's
 /// end in the order of sets, primitives and pages.
-fn appended(doc: &Document, sets: &[Refined<'_>], wanted: (usize, usize), n: usize) -> Result<usize> {
-    let mesh = sets[wanted.0].set.primitives[wanted.1].mesh;
-    let (mut before, mut total) = (0, 0);
+fn appended(doc: &Document, sets: &[Refined<'_>]) -> Result<BTreeMap<(usize, usize), usize>> {
+    // By mesh: how many were appended so far; then where the first stands.
+    let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
+    let mut places = BTreeMap::new();
     for (s, refined) in sets.iter().enumerate() {
         let faces = faces_of(refined.set, refined.atlas)?;
-        for (p, primitive) in refined.set.primitives.iter().enumerate().filter(|(_, p)| p.mesh == mesh) {
-            let more = pages(refined.atlas, &faces[p]).len() - 1;
-            total += more;
-            before += if (s, p) < wanted { more } else { 0 };
-            debug_assert_eq!(primitive.mesh, mesh);
+        for (p, primitive) in refined.set.primitives.iter().enumerate() {
+            let count = counts.entry(primitive.mesh).or_default();
+            places.insert((s, p), (primitive.mesh, *count));
+            *count += pages(refined.atlas, &faces[p]).len() - 1;
         }
     }
-    let pointer = format!("/meshes/{mesh}");
-    let count = doc.json.pointer(&pointer).map_or(0, |m| array(m, "primitives").len());
-    let first =
-        count.checked_sub(total).ok_or_else(|| Failure::internal("written primitives are missing").at(pointer))?;
-    Ok(first + before + n - 1)
+    let first = |mesh: usize| {
+        let pointer = format!("/meshes/{mesh}");
+        let all = doc.json.pointer(&pointer).map_or(0, |m| array(m, "primitives").len());
+        let added = counts.get(&mesh).copied().unwrap_or(0);
+        all.checked_sub(added).ok_or_else(|| Failure::internal("written primitives are missing").at(pointer))
+    };
+    places.into_iter().map(|(key, (mesh, before))| Ok((key, first(mesh)? + before))).collect()
 }

@@ -10,6 +10,9 @@ use crate::asset::accessor::{RawAccessor, raw_elements, read_vec};
 use crate::asset::accessor_type::ComponentType;
 use crate::error::{Failure, Result};
 
+/// One pair JOINTS_n, WEIGHTS_n, with the component type of the joints.
+type Pair = (Vec<[u32; 4]>, ComponentType, Vec<[f32; 4]>);
+
 /// JOINTS_n and WEIGHTS_n for all vertices of a pool: influences of the same joint are merged, the strongest kept (as
 /// many as the primitive has room for: four a set), and weights made to sum to one.
 #[derive(Default)]
@@ -28,7 +31,7 @@ impl Influences {
         checked: impl Fn(&str, &Value) -> Result<usize>,
         doc: &Document,
     ) -> Result<Self> {
-        let mut sets: Vec<(Vec<[u32; 4]>, ComponentType, Vec<[f32; 4]>)> = Vec::new();
+        let mut sets: Vec<Pair> = Vec::new();
         let mut names = Vec::new();
         loop {
             let pair = [format!("JOINTS_{}", sets.len()), format!("WEIGHTS_{}", sets.len())];
@@ -64,7 +67,7 @@ impl Influences {
 }
 
 /// The influences at a point, strongest first, cut to the room there is.
-fn merge(sets: &[(Vec<[u32; 4]>, ComponentType, Vec<[f32; 4]>)], point: &Point) -> Vec<(u32, f32)> {
+fn merge(sets: &[Pair], point: &Point) -> Vec<(u32, f32)> {
     let (sources, n) = point.weights();
     let element = |v: u32| {
         sets.iter().flat_map(move |(joints, _, weights)| {

@@ -72,9 +72,9 @@ impl<'a> Textures<'a> {
             materials: BTreeMap::new(),
             in_place: BTreeMap::new(),
         };
-        for m in 0..count {
-            for used in &scan.materials[m].uses {
-                let refined = material_owner[m].is_some_and(|owner| out.slot_of(owner, used).is_some());
+        for (m, (material, owner)) in scan.materials.iter().zip(material_owner).enumerate() {
+            for used in &material.uses {
+                let refined = owner.is_some_and(|owner| out.slot_of(owner, used).is_some());
                 out.foreign_textures[used.texture] |= out.shared_materials[m] || !refined;
             }
         }
