@@ -3,9 +3,9 @@
 
 use rayon::prelude::*;
 
+use super::band::{Baker, Counts, state};
 use super::codec::{Codec, Depth, Space, alpha_channel};
-use super::cover::{NOBODY, Page};
-use super::direction::{Turn, turn_vector};
+use super::cover::Page;
 use super::fill::fill;
 use super::map::{Map, Maps};
 use super::sample::{Footprint, Sampler};
@@ -14,7 +14,6 @@ use crate::asset::Slot;
 use crate::atlas::{Atlas, Charts, Topology};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result};
-use glam::DVec2;
 
 /// Texels of a band, about: what one task works on between two looks at the context.
 const BAND_TEXELS: u32 = 1 << 18;
@@ -22,14 +21,6 @@ const BAND_TEXELS: u32 = 1 << 18;
 const PAGE_TEXELS: u64 = 1 << 30;
 /// Relative change of a mask's coverage from which its alpha is scaled.
 const COVERAGE_CHANGE: f64 = 0.01;
-
-/// What a texel of the page is.
-mod state {
-    pub(super) const FREE: u8 = 0;
-    pub(super) const COPIED: u8 = 1;
-    pub(super) const RING_RESAMPLED: u8 = 2;
-    pub(super) const RESAMPLED: u8 = 3;
-}
 
 /// One slot of a texture set to bake to a new layout.
 #[derive(Clone, Copy)]
@@ -91,24 +82,6 @@ pub fn bake(job: &Bake<'_>, context: &Context) -> Result<Baked> {
     }
 }
 
-struct Baker<'a, T, const C: usize> {
-    job: &'a Bake<'a>,
-    sampler: Sampler<'a, T, C>,
-    maps: Maps,
-    context: &'a Context,
-    /// Cutoff of a mask whose coverage is kept.
-    cutoff: Option<f32>,
-}
-
-/// What is counted while a band is baked.
-struct Counts {
-    copied: u64,
-    /// Resampled and covered texels by alpha, in 1/255.
-    alphas: [u64; 256],
-    /// Quarters of those texels that the uploaded mask shows.
-    shown: u64,
-}
-
 impl<T: Depth, const C: usize> Baker<'_, T, C> {
     fn run(job: &Bake<'_>, texels: &[T], context: &Context) -> Result<Baked> {
         let source = job.source;
@@ -125,8 +98,14 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             Alpha::Mask(cutoff) if alpha_channel(C).is_some() && cutoff > 0.0 && cutoff <= 1.0 => Some(cutoff as f32),
             _ => None,
         };
-        let sampler = Sampler::<T, C> { texels, size, wrap: job.slot.wrap, codec: &codec, premultiply };
-        let baker = Baker { job, sampler, maps, context, cutoff };
+        let shown = codec.shown();
+        let sampler = Sampler::<T, C> { texels, size, wrap: job.slot.wrap, codec: &codec, shown: &shown, premultiply };
+        let footprint = |map: &Map| match map {
+            Map::Exact { .. } => None,
+            Map::Affine { linear, .. } => Some(Footprint::new(*linear)),
+        };
+        let footprints = maps.all.iter().map(footprint).collect();
+        let baker = Baker { job, sampler, maps, footprints, context, cutoff };
         let mut pages = Vec::new();
         let mut verbatim_texels = 0;
         for page in 0..job.after.sheets.len() {
@@ -155,13 +134,13 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         let (width, height) = (w as usize, h as usize);
         let page = u16::try_from(index).map_err(|_| Failure::internal("there are too many sheets"))?;
         let page = Page::new(self.job.after, topology, &self.maps, page, [w, h], self.job.bleed);
-        let rows = (BAND_TEXELS / w).clamp(16, 256);
+        let rows = (BAND_TEXELS / w).clamp(32, 256);
         let band = width * rows as usize;
         let mut texels = vec![T::default(); width * height * C];
         let mut states = vec![state::FREE; width * height];
         let bands = texels.par_chunks_mut(band * C).zip(states.par_chunks_mut(band)).enumerate();
         let counts: Vec<Result<Counts>> =
-            bands.map(|(i, (out, states))| self.band(&page, i as u32 * rows, rows, width, out, states)).collect();
+            bands.map(|(i, (out, states))| self.band(&page, i as u32 * rows, out, states)).collect();
         let mut copied = 0;
         let mut alphas = [0; 256];
         let mut shown = 0;
@@ -184,103 +163,6 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         fill::<T, C>(&mut texels, &states, width, self.sampler.codec, self.context)?;
         let image = Image { width: w, height: h, channels: C as u8, samples: T::samples(texels) };
         Ok((image, copied))
-    }
-
-    fn band(&self, page: &Page, top: u32, rows: u32, width: usize, out: &mut [T], states: &mut [u8]) -> Result<Counts> {
-        let band = page.band(top, rows, self.context, &self.maps)?;
-        let mut counts = Counts { copied: 0, alphas: [0; 256], shown: 0 };
-        for (row, owners) in band.owner.chunks_exact(width).enumerate() {
-            self.context.check()?;
-            let y = i64::from(top) + row as i64;
-            let mut x = 0;
-            // Runs of texels with one map.
-            while x < width {
-                let map_of = |x: usize| match owners[x] {
-                    NOBODY => Maps::NONE,
-                    face => self.maps.of_face[face as usize],
-                };
-                let start = x;
-                let map = map_of(x);
-                while x < width && map_of(x) == map {
-                    x += 1;
-                }
-                let Some(map) = self.maps.all.get(map as usize) else { continue };
-                let run = row * width + start..row * width + x;
-                let texels = &mut out[run.start * C..run.end * C];
-                let (states, distance) = (&mut states[run.clone()], &band.distance[run]);
-                let at = [start as i64, y];
-                match map {
-                    Map::Exact { turn, shift } => {
-                        self.copy(*turn, *shift, at, texels);
-                        states.fill(state::COPIED);
-                        counts.copied += distance.iter().filter(|d| **d == 0.0).count() as u64;
-                    }
-                    Map::Affine { .. } => self.resample(map, at, texels, states, distance, &mut counts),
-                }
-            }
-        }
-        Ok(counts)
-    }
-
-    /// Copies a run of texels from `at` on.
-    fn copy(&self, turn: Turn, shift: [i64; 2], at: [i64; 2], out: &mut [T]) {
-        let (sampler, count) = (&self.sampler, (out.len() / C) as i64);
-        let axis = |k: usize| {
-            let (a, b) = (i64::from(turn.x[k]), i64::from(turn.y[k]));
-            // A centre at i + 1/2 that is mirrored about an integer lies one texel lower.
-            a * at[0] + b * at[1] + shift[k] - i64::from(a + b < 0)
-        };
-        let (x, y) = (axis(0), axis(1));
-        let (dx, dy) = (i64::from(turn.x[0]), i64::from(turn.x[1]));
-        let [w, h] = sampler.size;
-        let (last_x, last_y) = (x + dx * (count - 1), y + dy * (count - 1));
-        let inside = [x, last_x].iter().all(|v| (0..w).contains(v)) && [y, last_y].iter().all(|v| (0..h).contains(v));
-        if inside && dx == 1 {
-            let start = sampler.index(x, y);
-            out.copy_from_slice(&sampler.texels[start..start + out.len()]);
-        } else {
-            let mut place = [x, y];
-            for texel in out.chunks_exact_mut(C) {
-                let from = sampler.index(place[0], place[1]);
-                texel.copy_from_slice(&sampler.texels[from..from + C]);
-                place = [place[0] + dx, place[1] + dy];
-            }
-        }
-        if sampler.codec.space == Space::Direction && !turn.is_identity() {
-            out.chunks_exact_mut(C).for_each(|texel| turn.turn_samples(texel));
-        }
-    }
-
-    fn resample(
-        &self,
-        map: &Map,
-        at: [i64; 2],
-        out: &mut [T],
-        states: &mut [u8],
-        distance: &[f32],
-        counts: &mut Counts,
-    ) {
-        let Map::Affine { linear, rotation, .. } = map else { return };
-        let footprint = Footprint::new(*linear);
-        let turn = rotation.to_cols_array().map(|v| v as f32);
-        let turns = self.sampler.codec.space == Space::Direction;
-        for (i, (texel, state)) in out.chunks_exact_mut(C).zip(states).enumerate() {
-            let centre = DVec2::new((at[0] + i as i64) as f64 + 0.5, at[1] as f64 + 0.5);
-            let mut value = self.sampler.sample(map.apply(centre), &footprint);
-            if turns {
-                turn_vector(turn, &mut value);
-            }
-            self.sampler.codec.encode(value, texel);
-            let covered = distance[i] == 0.0;
-            *state = if covered { state::RESAMPLED } else { state::RING_RESAMPLED };
-            if let (true, Some(cutoff), Some(a)) = (covered, self.cutoff, alpha_channel(C)) {
-                counts.alphas[(value[a].clamp(0.0, 1.0) * 255.0 + 0.5) as usize] += 1;
-                for (dx, dy) in [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)] {
-                    let shown = self.sampler.bilinear(map.apply(centre + DVec2::new(dx, dy)))[a] >= cutoff;
-                    counts.shown += u64::from(shown);
-                }
-            }
-        }
     }
 }
 

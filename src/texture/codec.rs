@@ -43,7 +43,7 @@ impl Depth for u16 {
 /// What the colour channels hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Space {
-    /// sRGB-encoded light; filtered as linear light.
+    /// sRGB-encoded light; averaged as linear light.
     Srgb,
     /// Plain numbers in 0..=1.
     Linear,
@@ -123,6 +123,12 @@ impl<T: Depth> Codec<T> {
             }
         }
         Codec { space, colour, alpha, codes, limits, depth: std::marker::PhantomData }
+    }
+
+    /// The codec in which texels are interpolated: encoded values, as dark edges would ring in linear light, and as the figures of
+    /// fidelity take them.
+    pub(crate) fn shown(&self) -> Self {
+        Codec::new(if self.space == Space::Srgb { Space::Linear } else { self.space })
     }
 
     /// The numbers of one texel of `C` samples.

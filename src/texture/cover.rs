@@ -14,8 +14,8 @@ const LOOK_EVERY: usize = 1024;
 
 /// What is drawn on one page.
 pub(crate) struct Page {
-    width: u32,
-    height: u32,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
     /// Faces in order, with the rows whose centres they may cover.
     faces: Vec<(u32, [u32; 2])>,
     /// Silhouette edges in the order of their faces, with the rows that their ring may reach.

@@ -56,8 +56,9 @@ impl<const C: usize> Level<C> {
     /// Bilinear value of this level at a texel of the level below.
     fn below(&self, x: usize, y: usize) -> [f32; C] {
         // The near texel has 3/4 of the weight, the one on the other side of the half 1/4.
-        let other =
-            |i: usize, size: usize| if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) };
+        let other = |i: usize, size: usize| {
+            if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) }
+        };
         let (x0, y0) = (x / 2, y / 2);
         let (x1, y1) = (other(x, self.width), other(y, self.height));
         let mut out = [0.0; C];

@@ -3,6 +3,7 @@
 //! All images are kept at their native depth and channel count; one slot at a time is in memory.
 
 mod bake;
+mod band;
 mod codec;
 mod cover;
 mod decode;
@@ -11,6 +12,7 @@ mod encode;
 mod fidelity;
 mod fill;
 mod map;
+mod refit;
 mod sample;
 
 pub use bake::{Bake, Baked, bake, page_size};

@@ -19,7 +19,10 @@ pub(crate) struct Sampler<'a, T, const C: usize> {
     pub(crate) texels: &'a [T],
     pub(crate) size: [i64; 2],
     pub(crate) wrap: [Wrap; 2],
+    /// Averages: linear light.
     pub(crate) codec: &'a Codec<T>,
+    /// Interpolates: [`Codec::shown`].
+    pub(crate) shown: &'a Codec<T>,
     /// Whether colour is weighted by alpha while filtering.
     pub(crate) premultiply: bool,
 }
@@ -65,8 +68,14 @@ impl Footprint {
 }
 
 impl<T: Depth, const C: usize> Sampler<'_, T, C> {
+    /// The codec of what [`Sampler::sample`] gives.
+    pub(crate) fn codec_of(&self, footprint: &Footprint) -> &Codec<T> {
+        if matches!(footprint, Footprint::Point) { self.shown } else { self.codec }
+    }
+
     /// The filtered value at a point, in texels; premultiplied colour is divided again.
     pub(crate) fn sample(&self, point: DVec2, footprint: &Footprint) -> [f32; C] {
+        let codec = self.codec_of(footprint);
         let mut value = match footprint {
             Footprint::Point => self.interpolate(point),
             Footprint::Wide { inverse, reach, step } => self.shrink(point, inverse, *reach, *step),
@@ -74,19 +83,14 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
         if let (true, Some(a)) = (self.premultiply, alpha_channel(C)) {
             let alpha = value[a];
             // Nothing shows here: the colour is taken without weights, so that it stays smooth for filtering.
-            let scale = if alpha > 1e-4 { alpha.recip() } else { return self.unweighted(point) };
+            let scale = if alpha > 1e-4 { alpha.recip() } else { return self.bilinear(point, codec) };
             value.iter_mut().take(a).for_each(|v| *v *= scale);
         }
         value
     }
 
-    fn unweighted(&self, point: DVec2) -> [f32; C] {
-        let plain = Sampler::<T, C> { premultiply: false, ..*self };
-        plain.bilinear(point)
-    }
-
-    /// Bilinear interpolation, as a renderer does it.
-    pub(crate) fn bilinear(&self, point: DVec2) -> [f32; C] {
+    /// Bilinear interpolation as a renderer does it, colour not weighted by alpha.
+    pub(crate) fn bilinear(&self, point: DVec2, codec: &Codec<T>) -> [f32; C] {
         let p = point - 0.5;
         let base = p.floor();
         let t = (p - base).as_vec2();
@@ -94,7 +98,8 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
         let mut out = [0.0; C];
         for (dy, wy) in [(0, 1.0 - t.y), (1, t.y)] {
             for (dx, wx) in [(0, 1.0 - t.x), (1, t.x)] {
-                add(&mut out, wx * wy, &self.texel(x + dx, y + dy));
+                let index = self.index(x + dx, y + dy);
+                add(&mut out, wx * wy, &codec.decode::<C>(&self.texels[index..index + C]));
             }
         }
         out
@@ -110,13 +115,8 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
     }
 
     #[inline]
-    fn texel(&self, x: i64, y: i64) -> [f32; C] {
-        self.at(self.index(x, y))
-    }
-
-    #[inline]
-    fn at(&self, index: usize) -> [f32; C] {
-        let mut value = self.codec.decode::<C>(&self.texels[index..index + C]);
+    fn at(&self, index: usize, codec: &Codec<T>) -> [f32; C] {
+        let mut value = codec.decode::<C>(&self.texels[index..index + C]);
         if let (true, Some(a)) = (self.premultiply, alpha_channel(C)) {
             let alpha = value[a];
             value.iter_mut().take(a).for_each(|v| *v *= alpha);
@@ -141,7 +141,7 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
             let line = (y * self.size[0]) as usize * C;
             let mut row = [0.0; C];
             for (i, weight) in wx.iter().enumerate() {
-                let value = self.at(line + columns[i]);
+                let value = self.at(line + columns[i], self.shown);
                 add(&mut row, *weight, &value);
                 if (1..5).contains(&i) && (1..5).contains(&j) {
                     widen(&mut low, &mut high, &value);
@@ -167,7 +167,7 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
                 if weight == 0.0 {
                     continue;
                 }
-                let value = self.texel(x, y);
+                let value = self.at(self.index(x, y), self.codec);
                 add(&mut out, weight, &value);
                 total += weight;
                 if k.x < 1.0 && k.y < 1.0 {
@@ -176,7 +176,8 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
             }
         }
         if total < 0.25 || low[0] > high[0] {
-            return self.bilinear(point);
+            let index = self.index(point.x.floor() as i64, point.y.floor() as i64);
+            return self.at(index, self.codec);
         }
         out.iter_mut().for_each(|v| *v /= total);
         limit(&mut out, &low, &high);
@@ -240,7 +241,7 @@ mod tests {
 
     fn sampler<'a>(texels: &'a [u16], codec: &'a Codec<u16>, width: i64) -> Sampler<'a, u16, 1> {
         let size = [width, texels.len() as i64 / width];
-        Sampler { texels, size, wrap: [Wrap::ClampToEdge; 2], codec, premultiply: false }
+        Sampler { texels, size, wrap: [Wrap::ClampToEdge; 2], codec, shown: codec, premultiply: false }
     }
 
     #[test]

@@ -1,0 +1,216 @@
+//! One band of rows of a page: its texels copied, resampled, fitted.
+
+use glam::DVec2;
+
+use super::Bake;
+use super::codec::{Depth, Space, alpha_channel};
+use super::cover::{Band, NOBODY, Page};
+use super::direction::{Turn, turn_vector};
+use super::map::{Map, Maps};
+use super::refit::{Field, HALO, POINTS};
+use super::sample::{Footprint, Sampler};
+use crate::context::Context;
+use crate::error::Result;
+
+/// What a texel of the page is.
+pub(crate) mod state {
+    /// Nobody's: filled at the end.
+    pub(crate) const FREE: u8 = 0;
+    /// Unchanged.
+    pub(crate) const COPIED: u8 = 1;
+    /// Resampled; no face covers its centre.
+    pub(crate) const RING_RESAMPLED: u8 = 2;
+    /// Resampled, with a face over its centre.
+    pub(crate) const RESAMPLED: u8 = 3;
+}
+
+/// What all bands of a slot share.
+pub(crate) struct Baker<'a, T, const C: usize> {
+    pub(crate) job: &'a Bake<'a>,
+    pub(crate) sampler: Sampler<'a, T, C>,
+    pub(crate) maps: Maps,
+    /// By map; none where texels are copied.
+    pub(crate) footprints: Vec<Option<Footprint>>,
+    pub(crate) context: &'a Context,
+    /// Cutoff of a mask whose coverage is kept.
+    pub(crate) cutoff: Option<f32>,
+}
+
+/// What is counted while a band is baked.
+pub(crate) struct Counts {
+    /// Copied texels whose centre a face covers.
+    pub(crate) copied: u64,
+    /// Resampled and covered texels by alpha, in 1/255.
+    pub(crate) alphas: [u64; 256],
+    /// Quarters of those texels that the uploaded mask shows.
+    pub(crate) shown: u64,
+}
+
+/// A run of texels of one row that have one map.
+struct Run {
+    map: usize,
+    columns: std::ops::Range<usize>,
+}
+
+impl<T: Depth, const C: usize> Baker<'_, T, C> {
+    /// Bakes the rows from `top` on that `out` and `states` hold.
+    pub(crate) fn band(&self, page: &Page, top: u32, out: &mut [T], states: &mut [u8]) -> Result<Counts> {
+        let width = page.width as usize;
+        let fits = self.footprints.iter().any(|f| matches!(f, Some(Footprint::Point)));
+        let halo = if fits { HALO } else { 0 };
+        let first = top.saturating_sub(halo);
+        let last = (top + (states.len() / width) as u32).saturating_add(halo).min(page.height);
+        let band = page.band(first, last - first, self.context, &self.maps)?;
+        let fits = fits && band.owner.iter().any(|owner| self.interpolates(*owner));
+        let mut field = fits.then(|| Field::new(width, band.owner.len()));
+        let mut counts = Counts { copied: 0, alphas: [0; 256], shown: 0 };
+        let mut beyond = vec![T::default(); width * C];
+        for row in 0..(last - first) as usize {
+            self.context.check()?;
+            let y = first as usize + row;
+            let core = y.checked_sub(top as usize).filter(|r| (r + 1) * width <= states.len());
+            let line = match core {
+                Some(r) => &mut out[r * width * C..(r + 1) * width * C],
+                None if fits => &mut beyond[..],
+                None => continue,
+            };
+            self.row(&band, row, y, line, field.as_mut());
+            if let Some(r) = core {
+                self.mark(&band, row, &mut states[r * width..(r + 1) * width], &mut counts);
+            }
+        }
+        if let Some(mut field) = field {
+            self.context.check()?;
+            field.fit();
+            let start = (top - first) as usize * width;
+            for (i, texel) in out.chunks_exact_mut(C).enumerate() {
+                if field.free[start + i] {
+                    self.sampler.shown.encode(field.values[start + i], texel);
+                }
+            }
+        }
+        if let (Some(cutoff), Some(channel)) = (self.cutoff, alpha_channel(C)) {
+            let start = (top - first) as usize * width;
+            for (i, texel) in out.chunks_exact(C).enumerate().filter(|(i, _)| states[*i] == state::RESAMPLED) {
+                let centre = DVec2::new((i % width) as f64 + 0.5, f64::from(top) + (i / width) as f64 + 0.5);
+                let Some(map) = self.maps.get(band.owner[start + i] as usize) else { continue };
+                counts.alphas[((texel[channel].value() * 255 + T::MAX / 2) / T::MAX) as usize & 255] += 1;
+                let shown = |offset: &&[f64; 2]| {
+                    let point = map.apply(centre + DVec2::from(**offset));
+                    self.sampler.bilinear(point, self.sampler.shown)[channel] >= cutoff
+                };
+                counts.shown += POINTS.iter().filter(shown).count() as u64;
+            }
+        }
+        Ok(counts)
+    }
+
+    /// Whether a face's texels are interpolated (and then fitted).
+    fn interpolates(&self, face: u32) -> bool {
+        let map = self.maps.of_face.get(face as usize).copied().unwrap_or(Maps::NONE);
+        matches!(self.footprints.get(map as usize), Some(Some(Footprint::Point)))
+    }
+
+    fn runs<'b>(&'b self, owners: &'b [u32]) -> impl Iterator<Item = Run> + 'b {
+        let map_of = |owner: u32| if owner == NOBODY { Maps::NONE } else { self.maps.of_face[owner as usize] };
+        let mut x = 0;
+        owners.chunk_by(move |a, b| map_of(*a) == map_of(*b)).filter_map(move |run| {
+            let columns = x..x + run.len();
+            x = columns.end;
+            let map = map_of(*run.first()?) as usize;
+            (map < self.maps.all.len()).then_some(Run { map, columns })
+        })
+    }
+
+    /// Copies or resamples the texels of one row.
+    fn row(&self, band: &Band, row: usize, y: usize, line: &mut [T], mut field: Option<&mut Field<C>>) {
+        let width = line.len() / C;
+        let owners = &band.owner[row * width..(row + 1) * width];
+        for Run { map, columns } in self.runs(owners) {
+            let out = &mut line[columns.start * C..columns.end * C];
+            let start = row * width + columns.start;
+            match (&self.maps.all[map], &self.footprints[map]) {
+                (Map::Exact { turn, shift }, _) => self.copy(*turn, *shift, [columns.start as i64, y as i64], out),
+                (_, None) => continue,
+                (affine, Some(footprint)) => {
+                    for (i, texel) in out.chunks_exact_mut(C).enumerate() {
+                        let centre = DVec2::new((columns.start + i) as f64 + 0.5, y as f64 + 0.5);
+                        let value = self.turned(affine, self.sampler.sample(affine.apply(centre), footprint));
+                        self.sampler.codec_of(footprint).encode(value, texel);
+                        if let (Some(field), Footprint::Point) = (field.as_deref_mut(), footprint) {
+                            field.free[start + i] = true;
+                            if band.distance[start + i] == 0.0 {
+                                field.target_of[start + i] = field.targets.len() as u32;
+                                field.targets.push(POINTS.map(|offset| {
+                                    let point = affine.apply(centre + DVec2::from(offset));
+                                    self.turned(affine, self.sampler.bilinear(point, self.sampler.shown))
+                                }));
+                            }
+                            field.values[start + i] = value;
+                        }
+                    }
+                }
+            }
+            if let Some(field) = field.as_deref_mut() {
+                for (i, texel) in out.chunks_exact(C).enumerate().filter(|(i, _)| !field.free[start + i]) {
+                    field.values[start + i] = self.sampler.shown.decode(texel);
+                }
+            }
+        }
+    }
+
+    /// Notes what the texels of a row are.
+    fn mark(&self, band: &Band, row: usize, states: &mut [u8], counts: &mut Counts) {
+        let start = row * states.len();
+        for Run { map, columns } in self.runs(&band.owner[start..start + states.len()]) {
+            let distance = &band.distance[start + columns.start..start + columns.end];
+            let states = &mut states[columns];
+            if self.footprints[map].is_none() {
+                states.fill(state::COPIED);
+                counts.copied += distance.iter().filter(|d| **d == 0.0).count() as u64;
+            } else {
+                for (s, d) in states.iter_mut().zip(distance) {
+                    *s = if *d == 0.0 { state::RESAMPLED } else { state::RING_RESAMPLED };
+                }
+            }
+        }
+    }
+
+    /// A direction turns with its chart; other values stay.
+    #[inline]
+    fn turned(&self, map: &Map, mut value: [f32; C]) -> [f32; C] {
+        if let (Map::Affine { rotation, .. }, Space::Direction) = (map, self.sampler.codec.space) {
+            turn_vector(rotation.to_cols_array().map(|v| v as f32), &mut value);
+        }
+        value
+    }
+
+    /// Copies a run of texels from `at` on.
+    fn copy(&self, turn: Turn, shift: [i64; 2], at: [i64; 2], out: &mut [T]) {
+        let (sampler, count) = (&self.sampler, (out.len() / C) as i64);
+        let axis = |k: usize| {
+            let (a, b) = (i64::from(turn.x[k]), i64::from(turn.y[k]));
+            // A centre at i + 1/2 that is mirrored about an integer lies one texel lower.
+            a * at[0] + b * at[1] + shift[k] - i64::from(a + b < 0)
+        };
+        let (x, y) = (axis(0), axis(1));
+        let (dx, dy) = (i64::from(turn.x[0]), i64::from(turn.x[1]));
+        let [w, h] = sampler.size;
+        let (last_x, last_y) = (x + dx * (count - 1), y + dy * (count - 1));
+        let inside = [x, last_x].iter().all(|v| (0..w).contains(v)) && [y, last_y].iter().all(|v| (0..h).contains(v));
+        if inside && dx == 1 {
+            let start = sampler.index(x, y);
+            out.copy_from_slice(&sampler.texels[start..start + out.len()]);
+        } else {
+            let mut place = [x, y];
+            for texel in out.chunks_exact_mut(C) {
+                let from = sampler.index(place[0], place[1]);
+                texel.copy_from_slice(&sampler.texels[from..from + C]);
+                place = [place[0] + dx, place[1] + dy];
+            }
+        }
+        if sampler.codec.space == Space::Direction && !turn.is_identity() {
+            out.chunks_exact_mut(C).for_each(|texel| turn.turn_samples(texel));
+        }
+    }
+}

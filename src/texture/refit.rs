@@ -1,0 +1,167 @@
+//! The last step of resampling at about the same density: what a renderer shows is not the texels but their bilinear
+//! interpolation, so the texels are moved towards the least-squares fit of that to the uploaded image's.
+//!
+//! The fit is the projection onto bilinear elements. Its mass matrix is never formed: relaxed Jacobi steps on the normal
+//! equations, with four points in each covered texel, give each texel the mean of the differences in its reach, weighted
+//! as bilinear filtering weights the texel there.
+
+/// Steps, each of which reads two texels further.
+pub(crate) const STEPS: usize = 2;
+/// Rows beyond a band on which its own texels depend.
+pub(crate) const HALO: u32 = 2 * STEPS as u32;
+/// Relaxation: under 2, the fit cannot diverge, for the weights of a row sum to 1 at most.
+const RELAXATION: f32 = 1.5;
+
+/// Where the four points of a texel lie, from its centre, in texels.
+pub(crate) const POINTS: [[f64; 2]; 4] = [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
+
+/// Texels of a band of rows.
+pub(crate) struct Field<const C: usize> {
+    /// Texels of a row.
+    pub(crate) width: usize,
+    /// Values, row by row.
+    pub(crate) values: Vec<[f32; C]>,
+    /// Whether a texel may change.
+    pub(crate) free: Vec<bool>,
+    /// By texel, where its points are on the surface: an index into `targets`; else `u32::MAX`.
+    pub(crate) target_of: Vec<u32>,
+    /// What is to be shown at the four points of a texel.
+    pub(crate) targets: Vec<[[f32; C]; 4]>,
+}
+
+impl<const C: usize> Field<C> {
+    /// `texels` texels in rows of `width`, none of them free.
+    pub(crate) fn new(width: usize, texels: usize) -> Self {
+        Field {
+            width,
+            values: vec![[0.0; C]; texels],
+            free: vec![false; texels],
+            target_of: vec![u32::MAX; texels],
+            targets: Vec::new(),
+        }
+    }
+
+    /// Fits the free texels.
+    pub(crate) fn fit(&mut self) {
+        let mut differences = vec![[[0.0; C]; 4]; self.targets.len()];
+        for _ in 0..STEPS {
+            for (i, target) in self.target_of.iter().enumerate() {
+                let Some(points) = self.targets.get(*target as usize) else { continue };
+                differences[*target as usize] = std::array::from_fn(|k| {
+                    let shown = self.shown(i, k);
+                    std::array::from_fn(|c| points[k][c] - shown[c])
+                });
+            }
+            self.values = (0..self.values.len())
+                .map(|i| if self.free[i] { self.moved(i, &differences) } else { self.values[i] })
+                .collect();
+        }
+    }
+
+    /// The texels next to `i` in the direction of point `k`: across, down, and both; edges repeat.
+    fn neighbours(&self, i: usize, k: usize) -> [usize; 3] {
+        let (x, rows) = (i % self.width, self.values.len() / self.width);
+        let across =
+            if k.is_multiple_of(2) { usize::from(x > 0).wrapping_neg() } else { usize::from(x + 1 < self.width) };
+        let y = i / self.width;
+        let down = match (k / 2, y) {
+            (0, 0) => 0,
+            (0, _) => self.width.wrapping_neg(),
+            (_, y) if y + 1 < rows => self.width,
+            _ => 0,
+        };
+        [i.wrapping_add(across), i.wrapping_add(down), i.wrapping_add(across).wrapping_add(down)]
+    }
+
+    /// What bilinear filtering shows at point `k` of texel `i`.
+    fn shown(&self, i: usize, k: usize) -> [f32; C] {
+        let [across, down, both] = self.neighbours(i, k);
+        let (v, a, d, b) = (&self.values[i], &self.values[across], &self.values[down], &self.values[both]);
+        std::array::from_fn(|c| 0.5625 * v[c] + 0.1875 * (a[c] + d[c]) + 0.0625 * b[c])
+    }
+
+    fn moved(&self, i: usize, differences: &[[[f32; C]; 4]]) -> [f32; C] {
+        let mut sum = [0.0; C];
+        let mut total = 0.0;
+        let mut add = |texel: usize, k: usize, weight: f32| {
+            if let Some(points) = differences.get(self.target_of[texel] as usize) {
+                (0..C).for_each(|c| sum[c] += weight * points[k][c]);
+                total += weight;
+            }
+        };
+        for k in 0..4 {
+            // In the quarter towards the texel's neighbours: its own point, and theirs on this side.
+            let [across, down, both] = self.neighbours(i, k);
+            add(i, k, 0.5625);
+            if across != i {
+                add(across, k ^ 1, 0.1875);
+            }
+            if down != i {
+                add(down, k ^ 2, 0.1875);
+            }
+            if across != i && down != i {
+                add(both, k ^ 3, 0.0625);
+            }
+        }
+        let mut value = self.values[i];
+        if total > 0.0 {
+            let (mut low, mut high) = (value, value);
+            for [across, down, both] in (0..4).map(|k| self.neighbours(i, k)) {
+                for near in [across, down, both].map(|n| self.values[n]) {
+                    (0..C).for_each(|c| (low[c], high[c]) = (low[c].min(near[c]), high[c].max(near[c])));
+                }
+            }
+            // Masks do not ring: no texel leaves the range of those about it.
+            (0..C).for_each(|c| value[c] = (value[c] + RELAXATION * sum[c] / total).clamp(low[c], high[c]));
+        }
+        value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Texels 0..n of one row of some rows, all free, with targets from `shown` at the points.
+    fn field(width: usize, rows: usize, start: f32, shown: impl Fn(f64, f64) -> f32) -> Field<1> {
+        let n = width * rows;
+        let targets = (0..n)
+            .map(|i| POINTS.map(|[dx, dy]| [shown((i % width) as f64 + 0.5 + dx, (i / width) as f64 + 0.5 + dy)]))
+            .collect();
+        Field { width, values: vec![[start]; n], free: vec![true; n], target_of: (0..n as u32).collect(), targets }
+    }
+
+    #[test]
+    fn what_is_shown_already_stays() {
+        let mut f = field(9, 7, 0.4, |_, _| 0.4);
+        f.fit();
+        assert!(f.values.iter().all(|v| (v[0] - 0.4).abs() < 1e-6));
+    }
+
+    #[test]
+    fn each_step_comes_closer_to_what_is_to_be_shown_and_texels_that_are_not_free_stay() {
+        let shown = |x: f64, y: f64| (0.5 + 0.3 * (x * 0.9).sin() * (y * 0.7).cos()) as f32;
+        let mut f = field(24, 16, 0.0, shown);
+        for (i, v) in f.values.iter_mut().enumerate() {
+            v[0] = shown((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5);
+        }
+        f.free[30] = false;
+        let error = |f: &Field<1>| -> f64 {
+            let all = (0..f.values.len()).flat_map(|i| (0..4).map(move |k| (i, k)));
+            all.map(|(i, k)| f64::from(f.targets[i][k][0] - f.shown(i, k)[0]).powi(2)).sum()
+        };
+        let (before, kept) = (error(&f), f.values[30]);
+        f.fit();
+        assert!(error(&f) < 0.5 * before, "{} of {before}", error(&f));
+        assert_eq!(f.values[30], kept);
+    }
+
+    #[test]
+    fn a_step_does_not_ring() {
+        let edge = |x: f64| if x < 6.3 { 0.2 } else { 0.7 };
+        let mut f = field(12, 5, 0.0, |x, _| edge(x));
+        f.values.iter_mut().enumerate().for_each(|(i, v)| v[0] = edge((i % 12) as f64 + 0.5));
+        f.fit();
+        assert!(f.values.iter().all(|v| (0.2..=0.7).contains(&v[0])), "{:?}", &f.values[..12]);
+    }
+}
