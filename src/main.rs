@@ -11,12 +11,16 @@ use intarsia::config::{Cli, Command};
 use intarsia::error::Code;
 
 fn main() -> ExitCode {
-    let done = match Cli::parse().command {
+    let command = Cli::parse().command;
+    // The words of a panic are on stderr already.
+    let Ok(done) = std::panic::catch_unwind(|| match command {
         Command::Serve(arguments) => commands::serve::run(&arguments),
         Command::Refine(arguments) => commands::refine::run(&arguments),
         Command::Inspect(arguments) => commands::inspect::run(&arguments),
         Command::Sample(arguments) => commands::sample::run(&arguments),
         Command::Openapi => commands::openapi::run(),
+    }) else {
+        return ExitCode::from(1);
     };
     let Err(failure) = done else { return ExitCode::SUCCESS };
     match &failure.pointer {

@@ -1,5 +1,6 @@
 //! `intarsia serve`: the HTTP service.
 
+use std::io::IsTerminal;
 use std::time::Duration;
 
 use intarsia::config::{LogFormat, Serve};
@@ -73,6 +74,7 @@ async fn told_to_stop() {
 
 fn log(arguments: &Serve) {
     let lines = tracing_subscriber::fmt().with_max_level(arguments.log_level).with_writer(std::io::stderr);
+    let lines = lines.with_ansi(std::io::stderr().is_terminal());
     match arguments.log_format {
         LogFormat::Text => lines.init(),
         LogFormat::Json => lines.json().init(),

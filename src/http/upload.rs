@@ -70,8 +70,10 @@ pub(super) async fn receive(app: &App, request: Request) -> Answer<Job> {
     };
     let options = parse::options(&options).map_err(Problem::options)?;
     incoming.check().await?;
-    let manifest = incoming.take();
-    Ok(app.jobs.submit(&incoming.id, &options, &manifest).await?)
+    let (jobs, id, manifest) = (app.jobs.clone(), incoming.id.clone(), incoming.take());
+    // A task of its own: a client that goes away now does not stop it half-way.
+    let stored = tokio::spawn(async move { jobs.submit(&id, &options, &manifest).await }).await;
+    Ok(stored.map_err(|e| Failure::internal(format!("the submission was lost: {e}")))??)
 }
 
 /// The raw model as the body; its options are in the query.

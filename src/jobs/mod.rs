@@ -82,7 +82,9 @@ impl Jobs {
     pub async fn submit(&self, id: &str, options: &Options, manifest: &Manifest) -> Result<Job> {
         let stored = async {
             let options = serde_json::to_value(options).map_err(|e| Failure::internal(e.to_string()))?;
-            self.files.accept(id)?;
+            let (files, job) = (self.files.clone(), id.to_owned());
+            let accepted = tokio::task::spawn_blocking(move || files.accept(&job)).await;
+            accepted.map_err(|e| Failure::internal(format!("the upload was lost: {e}")))??;
             // Known before a worker can claim it, so that nobody who follows it misses its start.
             self.hub.queued(id);
             self.queue.submit(id, &options, manifest, self.limits.max_queued).await

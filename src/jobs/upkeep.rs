@@ -139,11 +139,11 @@ impl Jobs {
         Ok(())
     }
 
-    /// One round of upkeep.
+    /// One round of upkeep; `sweep` also looks for files that belong to no job.
     ///
     /// # Errors
     /// `internal`.
-    pub async fn tidy(&self) -> Result<()> {
+    pub async fn tidy(&self, sweep: bool) -> Result<()> {
         self.recover().await?;
         let now = Moment::now();
         for (job, state) in self.queue.expire(now.minus(self.limits.max_wait)).await? {
@@ -155,7 +155,7 @@ impl Jobs {
         }
         self.files.forget_workers();
         self.queue.forget(now.minus(self.limits.keep_jobs)).await?;
-        for job in self.files.untouched(LEFT_OVER) {
+        for job in if sweep { self.files.untouched(LEFT_OVER) } else { Vec::new() } {
             if !self.queue.knows(&job).await? {
                 self.files.remove_uploads(&job);
                 self.files.remove_artifacts(&job);

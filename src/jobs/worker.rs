@@ -26,6 +26,8 @@ const BEAT: Duration = Duration::from_secs(2);
 const POLL: Duration = Duration::from_secs(1);
 /// How often upkeep is done.
 const TIDY: Duration = Duration::from_secs(15);
+/// Every so many rounds of upkeep, files that belong to no job are looked for.
+const SWEEP: u32 = 240;
 
 /// What came of an attempt.
 struct Computed {
@@ -52,8 +54,11 @@ impl Jobs {
 
     /// Does upkeep until the service shuts down.
     pub async fn keep(self: Arc<Self>) {
-        while !self.shutdown.is_cancelled() {
-            if let Err(failure) = self.tidy().await {
+        for round in 0u32.. {
+            if self.shutdown.is_cancelled() {
+                break;
+            }
+            if let Err(failure) = self.tidy(round % SWEEP == 0).await {
                 tracing::error!(%failure, "upkeep failed");
             }
             tokio::select! {
@@ -158,7 +163,7 @@ fn ended(reporter: &Reporter, computed: Computed) -> End {
     }
 }
 
-/// The synchronous part, on the rayon pool. A panic in it is a failure of this job and of nothing else.
+/// The synchronous part, on the rayon pool.
 fn compute(jobs: &Jobs, claim: &Claim, reporter: Arc<Reporter>) -> Computed {
     let cancel = reporter.cancel.clone();
     let options = match super::stored_options(&claim.options) {
@@ -167,12 +172,16 @@ fn compute(jobs: &Jobs, claim: &Claim, reporter: Arc<Reporter>) -> Computed {
     };
     let limit = options.time_limit_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
     let context = Context::new(reporter, cancel, options.seed).with_time_limit(limit);
-    let result = catch_unwind(AssertUnwindSafe(|| steps(jobs, claim, &claim.inputs, &options, &context)));
-    let result = result.unwrap_or_else(|_| {
-        tracing::error!(job = %claim.id, "the computation panicked");
-        Err(Failure::internal("Intarsia failed on this model; the fault is ours"))
-    });
+    let result = guarded(&claim.id, || steps(jobs, claim, &claim.inputs, &options, &context));
     Computed { result, warnings: context.warnings(), timings: context.timings() }
+}
+
+/// A panic is a failure of this job and of nothing else.
+fn guarded<T>(job: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+        tracing::error!(job, "the computation panicked");
+        Err(Failure::internal("Intarsia failed on this model; the fault is ours"))
+    })
 }
 
 fn steps(
@@ -189,4 +198,30 @@ fn steps(
     let entries = jobs.files.store(&claim.id, claim.attempt, &outcome.artifacts)?;
     let missed = outcome.failures.into_iter().map(|f| Missed { path: f.path, wanted: f.wanted, got: f.got });
     Ok((entries, missed.collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_is_a_failure_of_ours() {
+        let failure = guarded::<()>("j", || panic!("as the test wants")).unwrap_err();
+        assert_eq!(failure.code, Code::Internal);
+        assert_eq!(guarded("j", || Ok(1)), Ok(1));
+    }
+
+    #[test]
+    fn a_job_that_misses_its_requirement_fails_with_its_artifacts() {
+        let reporter = crate::jobs::hub::Hub::default().started("j", 1, 0.0);
+        let missed = Missed { path: "atlas.charts".into(), wanted: "max 1".into(), got: Some(2.0) };
+        let end_of = |result| ended(&reporter, Computed { result, warnings: Vec::new(), timings: Vec::new() });
+        let end = end_of(Ok((Vec::new(), vec![missed.clone()])));
+        assert_eq!(end.state, State::Failed);
+        let error = end.error.unwrap();
+        assert_eq!((error.code, error.failures), (Code::RequirementNotMet, vec![missed]));
+        assert_eq!(end_of(Ok((Vec::new(), Vec::new()))).state, State::Succeeded);
+        assert_eq!(end_of(Err(Failure::new(Code::Canceled, "stop"))).state, State::Canceled);
+        assert_eq!(end_of(Err(Failure::model("bad"))).error.unwrap().code, Code::InvalidModel);
+    }
 }

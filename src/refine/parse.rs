@@ -1,5 +1,7 @@
 //! Options as users write them: JSON, `--set PATH=VALUE`, a recipe's name. Every problem is found, not only the first.
 
+mod words;
+
 use std::collections::BTreeMap;
 
 use serde::Serialize;
@@ -8,6 +10,8 @@ use serde_json::{Map, Value};
 
 use super::options::{AtlasOptions, Options, Pack, Recipe, Requirement, Size, Stage, Texture};
 use crate::error::{Code, Failure};
+pub use words::nearest;
+use words::{child, kind, name, short};
 
 /// Largest `metadata`, in bytes of JSON.
 pub const MAX_METADATA_BYTES: usize = 64 << 10;
@@ -335,13 +339,6 @@ fn unknown(pointer: &str, key: &str, known: &[String]) -> Problem {
     Problem::new(pointer, format!("unknown option `{}`; {hint}", short(key)))
 }
 
-/// The nearest of `known`, if it is near enough to be what was meant.
-pub fn nearest<'a>(wanted: &str, known: &[&'a str]) -> Option<&'a str> {
-    let wanted = short(wanted);
-    let score = |k: &str| strsim::jaro_winkler(&wanted, k);
-    known.iter().copied().max_by(|a, b| score(a).total_cmp(&score(b))).filter(|k| score(k) >= 0.75)
-}
-
 /// The value as `T`, or where and why it is not one.
 fn typed<T: DeserializeOwned>(value: &Value, pointer: &str) -> Result<T, Problem> {
     serde_path_to_error::deserialize(value).map_err(|error| {
@@ -369,35 +366,6 @@ fn keys<T: Serialize>(value: &T) -> Vec<String> {
     match serde_json::to_value(value) {
         Ok(Value::Object(map)) => map.keys().cloned().collect(),
         _ => Vec::new(),
-    }
-}
-
-fn child(pointer: &str, key: &str) -> String {
-    format!("{pointer}/{}", short(key).replace('~', "~0").replace('/', "~1"))
-}
-
-fn name(pointer: &str) -> String {
-    let last = pointer.rsplit('/').next().unwrap_or_default();
-    last.replace("~1", "/").replace("~0", "~")
-}
-
-fn kind(value: &Value) -> &'static str {
-    match value {
-        Value::Null => "null",
-        Value::Bool(_) => "a boolean",
-        Value::Number(_) => "a number",
-        Value::String(_) => "a string",
-        Value::Array(_) => "a list",
-        Value::Object(_) => "an object",
-    }
-}
-
-/// Text from outside, cut to a length fit for a message.
-fn short(text: &str) -> String {
-    const MOST: usize = 200;
-    match text.char_indices().nth(MOST) {
-        Some((end, _)) => format!("{}…", &text[..end]),
-        None => text.to_owned(),
     }
 }
 

@@ -1,0 +1,42 @@
+//! Words and pointers for messages about options.
+
+use serde_json::Value;
+
+/// The nearest of `known`, if it is near enough to be what was meant.
+pub fn nearest<'a>(wanted: &str, known: &[&'a str]) -> Option<&'a str> {
+    let wanted = short(wanted);
+    let score = |k: &str| strsim::jaro_winkler(&wanted, k);
+    known.iter().copied().max_by(|a, b| score(a).total_cmp(&score(b))).filter(|k| score(k) >= 0.75)
+}
+
+/// The JSON pointer of a key under `pointer` (RFC 6901).
+pub(super) fn child(pointer: &str, key: &str) -> String {
+    format!("{pointer}/{}", short(key).replace('~', "~0").replace('/', "~1"))
+}
+
+/// The last key of a pointer.
+pub(super) fn name(pointer: &str) -> String {
+    let last = pointer.rsplit('/').next().unwrap_or_default();
+    last.replace("~1", "/").replace("~0", "~")
+}
+
+/// What a value is, in words.
+pub(super) fn kind(value: &Value) -> &'static str {
+    match value {
+        Value::Null => "null",
+        Value::Bool(_) => "a boolean",
+        Value::Number(_) => "a number",
+        Value::String(_) => "a string",
+        Value::Array(_) => "a list",
+        Value::Object(_) => "an object",
+    }
+}
+
+/// Text from outside, cut to a length fit for a message.
+pub(super) fn short(text: &str) -> String {
+    const MOST: usize = 200;
+    match text.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
+}

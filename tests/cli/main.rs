@@ -1,0 +1,95 @@
+//! What scripts hold on to: the command line's exit codes, its streams, its files.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn intarsia(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
+    let program = Command::new(env!("CARGO_BIN_EXE_intarsia")).args(arguments).current_dir(folder).output().unwrap();
+    let Output { status, stdout, stderr } = program;
+    (status.code().unwrap(), String::from_utf8(stdout).unwrap(), String::from_utf8(stderr).unwrap())
+}
+
+/// A folder with the sample in it.
+fn with_sample() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let (code, _, errors) = intarsia(folder.path(), &["sample", "textured", "-o", "in.glb"]);
+    assert_eq!(code, 0, "{errors}");
+    folder
+}
+
+#[test]
+fn a_model_is_refined_from_file_to_file() {
+    let folder = with_sample();
+    let at = |name: &str| folder.path().join(name);
+    let all = ["refine", "in.glb", "-o", "out.glb", "--report", "report.json", "--pictures", "pictures", "--json"];
+    let (code, out, errors) = intarsia(folder.path(), &all);
+    assert_eq!(code, 0, "{errors}");
+    assert!(fs::read(at("out.glb")).unwrap().starts_with(b"glTF"));
+    let report: Value = serde_json::from_slice(&fs::read(at("report.json")).unwrap()).unwrap();
+    assert_eq!(report, serde_json::from_str::<Value>(&out).unwrap(), "--json is the report, and nothing else");
+    assert!(at("pictures").is_dir());
+    assert!(errors.lines().any(|l| l.starts_with("[1/")), "progress in lines: {errors}");
+    let (_, out, errors) = intarsia(folder.path(), &["refine", "in.glb", "-o", "again.glb", "-q"]);
+    assert!(out.is_empty() && !errors.contains("wrote"), "{out}{errors}");
+    assert_eq!(fs::read(at("out.glb")).unwrap(), fs::read(at("again.glb")).unwrap());
+    let left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert!(!left.iter().any(|n| n.to_string_lossy().contains("tmp")), "{left:?}");
+}
+
+#[test]
+fn exit_codes_tell_whose_fault_it_is() {
+    let folder = with_sample();
+    fs::write(folder.path().join("broken.glb"), b"glTF").unwrap();
+    fs::write(folder.path().join("options.json"), b"{\"pack\": {\"grid\": 0}}").unwrap();
+    for (arguments, wanted, part) in [
+        (&["refine", "in.glb"][..], 2, "--output"),
+        (&["refine", "in.glb", "-o", "out.png"], 2, ".glb"),
+        (&["refine", "in.glb", "-o", "nowhere/out.glb"], 2, "folder"),
+        (&["refine", "in.glb", "-o", "out.glb", "--set", "pack.guter=1"], 2, "did you mean `gutter`?"),
+        (&["refine", "in.glb", "-o", "out.glb", "--recipe", "pak"], 2, "did you mean `pack`?"),
+        (&["refine", "in.glb", "-o", "out.glb", "--options", "options.json"], 2, "/pack/grid"),
+        (&["refine", "none.glb", "-o", "out.glb"], 3, "none.glb"),
+        (&["refine", "broken.glb", "-o", "out.glb"], 3, "invalid_model"),
+        (&["inspect", "broken.glb"], 3, "invalid_model"),
+        (&["inspect", "in.glb", "--require", "atlas.packing_efficiency>=1.5"], 4, "packing_efficiency"),
+        (&["inspect", "in.glb", "--require", "atlas.packing_eficiency>=0.5"], 2, "did you mean"),
+        (&["inspect", "in.glb", "--require", "atlas.packing_efficiency<=1.5"], 0, ""),
+        (&["sample", "texture", "-o", "x.glb"], 2, "did you mean `textured`?"),
+    ] {
+        let (code, _, errors) = intarsia(folder.path(), arguments);
+        assert_eq!(code, wanted, "{arguments:?}: {errors}");
+        assert!(errors.contains(part), "{arguments:?}: `{part}` is not in {errors}");
+    }
+    assert!(!folder.path().join("out.glb").exists(), "nothing is written on failure");
+}
+
+#[test]
+fn a_missed_requirement_is_told_and_the_output_is_written_all_the_same() {
+    let folder = with_sample();
+    let gate = "require.atlas.packing_efficiency.min=0.9999";
+    let (code, _, errors) = intarsia(folder.path(), &["refine", "in.glb", "-o", "out.glb", "--set", gate]);
+    assert_eq!(code, 4, "{errors}");
+    assert!(errors.contains("not met: atlas.packing_efficiency"), "{errors}");
+    assert!(folder.path().join("out.glb").exists());
+}
+
+#[test]
+fn figures_are_shown_for_people_and_for_programs() {
+    let folder = with_sample();
+    let (code, table, errors) = intarsia(folder.path(), &["inspect", "in.glb"]);
+    assert_eq!(code, 0, "{errors}");
+    assert!(table.contains("packing_efficiency") && table.contains("model"), "{table}");
+    let (_, json, _) = intarsia(folder.path(), &["inspect", "in.glb", "--json"]);
+    let report: Value = serde_json::from_str(&json).unwrap();
+    assert!(report["atlases"][0]["before"]["packing_efficiency"].as_f64().is_some());
+}
+
+#[test]
+fn the_contract_is_printed() {
+    let (code, text, _) = intarsia(Path::new("."), &["openapi"]);
+    assert_eq!(code, 0);
+    assert!(text == fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/api/openapi.json")).unwrap());
+}
