@@ -34,7 +34,8 @@ pub fn run(arguments: &Inspect) -> Result<()> {
 /// `PATH>=N` or `PATH<=N` as a requirement.
 fn bound(text: &str) -> Result<(String, Requirement)> {
     let wrong = || {
-        let message = format!("`{text}` is no bound such as atlas.packing_efficiency>=0.8 or model.texture_pixels<=1e6");
+        let message =
+            format!("`{text}` is no bound such as atlas.packing_efficiency>=0.8 or model.texture_pixels<=1e6");
         Failure::new(Code::InvalidRequest, message)
     };
     let parts = text.split_once(">=").map(|p| (p, true)).or_else(|| text.split_once("<=").map(|p| (p, false)));

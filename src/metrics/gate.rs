@@ -107,7 +107,12 @@ pub fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result
                 }
             }
             if let Some((_, got, detail)) = worst {
-                failures.push(Unmet { path: path.clone(), wanted: format!("{} {}", bound.name, bound.value), got, detail });
+                failures.push(Unmet {
+                    path: path.clone(),
+                    wanted: format!("{} {}", bound.name, bound.value),
+                    got,
+                    detail,
+                });
             }
         }
     }

@@ -28,8 +28,10 @@ fn main() {
         return;
     }
     println!("machine {} | commit {} | seed 0", machine(), commit());
-    println!("{:36} {:>6} {:>6} | default: {:>6} {:>11} {:>5} {:>8} {:>9} {:>7} {:>9} | any: {:>6} {:>7} {:>6}",
-        "model", "charts", "before", "PE", "sheet", "s", "psnr", "max/255", "mip2", "angle p95", "PE", "psnr", "s");
+    println!(
+        "{:36} {:>6} {:>6} | default: {:>6} {:>11} {:>5} {:>8} {:>9} {:>7} {:>9} | any: {:>6} {:>7} {:>6}",
+        "model", "charts", "before", "PE", "sheet", "s", "psnr", "max/255", "mip2", "angle p95", "PE", "psnr", "s"
+    );
     for path in models {
         let name = path.strip_prefix(&folder).unwrap_or(&path).display().to_string();
         if !name.contains(&filter) {
@@ -56,13 +58,18 @@ fn collect(folder: &Path, into: &mut Vec<PathBuf>) {
 }
 
 fn commit() -> String {
-    let output = Command::new("git").args(["describe", "--always", "--dirty"]).current_dir(env!("CARGO_MANIFEST_DIR")).output();
+    let output =
+        Command::new("git").args(["describe", "--always", "--dirty"]).current_dir(env!("CARGO_MANIFEST_DIR")).output();
     output.map(|o| String::from_utf8_lossy(&o.stdout).trim().to_owned()).unwrap_or_default()
 }
 
 fn machine() -> String {
     let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = cpu.lines().find_map(|l| l.strip_prefix("model name")).unwrap_or("unknown").trim_start_matches(['\t', ' ', ':']);
+    let model = cpu
+        .lines()
+        .find_map(|l| l.strip_prefix("model name"))
+        .unwrap_or("unknown")
+        .trim_start_matches(['\t', ' ', ':']);
     format!("{model}, {} threads", rayon::current_num_threads())
 }
 

@@ -2,7 +2,7 @@
 
 use intarsia::asset::{File, Limits, load};
 use intarsia::context::Context;
-use intarsia::refine::options::{Gutter, IfLarger, OverlapMode, Options, Rotation, TextureFormat};
+use intarsia::refine::options::{Gutter, IfLarger, Options, OverlapMode, Rotation, TextureFormat};
 use intarsia::refine::{Input, Outcome, refine};
 
 use super::{data, geometry, validator};
@@ -42,7 +42,10 @@ fn packed_models_are_valid_whole_and_exact() {
 
         for atlas in outcome.report["atlases"].as_array().expect("atlases") {
             let figure = |when: &str, key: &str| atlas[when][key].as_f64();
-            assert!(figure("after", "overlap_fraction") <= figure("before", "overlap_fraction").map(|f| f + 1e-9), "{name}: {atlas}");
+            assert!(
+                figure("after", "overlap_fraction") <= figure("before", "overlap_fraction").map(|f| f + 1e-9),
+                "{name}: {atlas}"
+            );
             let kept = atlas["after"]["texture_pixels"] == atlas["before"]["texture_pixels"];
             assert!(kept || figure("after", "gutter_texels").is_none_or(|g| g >= 4.0), "{name}: {atlas}");
         }
@@ -59,7 +62,11 @@ fn packed_models_are_valid_whole_and_exact() {
 
 #[test]
 fn any_rotation_keeps_40_db() {
-    for name in ["pbr/khr_Avocado/Avocado.gltf", "pbr/khr_CesiumMan/CesiumMan.glb", "pbr/khr_NormalTangentTest/NormalTangentTest.glb"] {
+    for name in [
+        "pbr/khr_Avocado/Avocado.gltf",
+        "pbr/khr_CesiumMan/CesiumMan.glb",
+        "pbr/khr_NormalTangentTest/NormalTangentTest.glb",
+    ] {
         let Some(files) = data::model(name) else { continue };
         let mut options = png();
         options.pack.rotation = Rotation::Any;

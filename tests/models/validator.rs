@@ -35,7 +35,8 @@ pub fn errors(file: &Path) -> Option<BTreeSet<String>> {
     let folder = folder()?;
     let output = Command::new("node").arg(folder.join("validate.cjs")).arg(file).output().ok()?;
     let text = String::from_utf8_lossy(&output.stdout);
-    let report: serde_json::Value = serde_json::from_str(text.lines().next().unwrap_or_default()).expect("the validator prints JSON");
+    let report: serde_json::Value =
+        serde_json::from_str(text.lines().next().unwrap_or_default()).expect("the validator prints JSON");
     let errors = report["errors"].as_array().expect("a list of errors");
     Some(errors.iter().map(|e| format!("{}: {}", e["code"], e["message"])).collect())
 }
