@@ -7,6 +7,7 @@ pub mod files;
 pub mod hub;
 pub mod queue;
 pub mod record;
+mod rows;
 mod upkeep;
 mod worker;
 

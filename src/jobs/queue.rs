@@ -7,15 +7,13 @@
 use std::path::Path;
 use std::time::Duration;
 
-use serde::de::DeserializeOwned;
 use serde_json::Value;
 use sqlx::Row;
-use sqlx::sqlite::{
-    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteRow, SqliteSynchronous,
-};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
 
 use super::files::Manifest;
 use super::record::{Entry, Job, JobError, Moment, State};
+use super::rows::{job, json, parsed};
 use crate::context::{Progress, Timing};
 use crate::error::{Code, Failure, Result, Warning};
 
@@ -285,13 +283,14 @@ impl Queue {
     ///
     /// # Errors
     /// `internal`.
-    pub async fn release(&self, claim: &Claim) -> Result<bool> {
+    pub async fn release(&self, claim: &Claim, progress: &Progress) -> Result<bool> {
         let done = sqlx::query(
-            "UPDATE jobs SET state = 'queued', owner = NULL, lease_until = NULL
+            "UPDATE jobs SET state = 'queued', owner = NULL, lease_until = NULL, progress = ?3
              WHERE id = ?1 AND attempt = ?2 AND state = 'running' AND cancel_requested = 0",
         )
         .bind(&claim.id)
         .bind(claim.attempt)
+        .bind(json(progress)?)
         .execute(&self.pool)
         .await?;
         Ok(done.rows_affected() > 0)
@@ -342,45 +341,6 @@ impl From<sqlx::Error> for Failure {
         tracing::error!(%error, "the queue failed");
         Failure::internal("the job queue failed")
     }
-}
-
-fn json<T: serde::Serialize>(value: &T) -> Result<String> {
-    serde_json::to_string(value).map_err(|e| Failure::internal(format!("the queue cannot store this: {e}")))
-}
-
-fn parsed<T: DeserializeOwned>(row: &SqliteRow, column: &str) -> Result<T> {
-    let text: String = row.try_get(column)?;
-    serde_json::from_str(&text).map_err(|e| {
-        tracing::error!(column, error = %e, "the queue holds a broken value");
-        Failure::internal("the job queue holds a broken value")
-    })
-}
-
-fn job(row: &SqliteRow) -> Result<Job> {
-    let options: Value = parsed(row, "options")?;
-    let moment = |column: &str| row.try_get::<Option<i64>, _>(column).map(|m| m.map(Moment));
-    let state: String = row.try_get("state")?;
-    let position: Option<i64> = row.try_get("position")?;
-    let error: Option<String> = row.try_get("error")?;
-    let progress: String = row.try_get("progress")?;
-    Ok(Job {
-        id: row.try_get("id")?,
-        state: State::from_name(&state).ok_or_else(|| Failure::internal("the job queue holds a broken state"))?,
-        recipe: options.get("recipe").cloned().unwrap_or_default(),
-        metadata: options.get("metadata").cloned().unwrap_or_default(),
-        options,
-        progress: if progress == "{}" { Progress::default() } else { parsed(row, "progress")? },
-        queue_position: position.and_then(|p| u64::try_from(p).ok()),
-        attempt: row.try_get("attempt")?,
-        created_at: Moment(row.try_get("created_at")?),
-        started_at: moment("started_at")?,
-        finished_at: moment("finished_at")?,
-        artifacts_expire_at: moment("artifacts_expire_at")?,
-        timings: parsed(row, "timings")?,
-        warnings: parsed(row, "warnings")?,
-        error: error.and_then(|text| serde_json::from_str(&text).ok()),
-        artifacts: parsed(row, "artifacts")?,
-    })
 }
 
 #[cfg(test)]
@@ -449,7 +409,7 @@ mod tests {
         assert_eq!((stale.attempt, fresh.attempt), (1, 2));
         assert_eq!(queue.beat(&stale, LEASE, &Progress::default(), &[]).await, Ok(Beat::Lost));
         assert_eq!(queue.finish(&stale, &succeeded(), LEASE).await, Ok(false));
-        assert_eq!(queue.release(&stale).await, Ok(false));
+        assert_eq!(queue.release(&stale, &Progress::default()).await, Ok(false));
         assert_eq!(queue.beat(&fresh, LEASE, &Progress::default(), &[]).await, Ok(Beat::Held));
         assert_eq!(queue.finish(&fresh, &succeeded(), LEASE).await, Ok(true));
         assert_eq!(queue.finish(&fresh, &End { state: State::Failed, ..succeeded() }, LEASE).await, Ok(false));

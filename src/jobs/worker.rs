@@ -105,7 +105,7 @@ impl Jobs {
 
     async fn publish(&self, claim: &Claim, reporter: &Reporter, computed: Computed, stopping: bool) {
         let stopped = matches!(&computed.result, Err(f) if f.code == Code::Canceled);
-        if stopping && stopped && self.queue.release(claim).await.is_ok_and(|released| released) {
+        if stopping && stopped && self.queue.release(claim, &reporter.live().progress).await == Ok(true) {
             tracing::info!(job = %claim.id, "job goes back to the queue");
             self.hub.requeued(&claim.id);
             return;

@@ -1,0 +1,52 @@
+//! Between rows of the queue and values.
+
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::record::{Job, Moment, State};
+use crate::context::Progress;
+use crate::error::{Failure, Result};
+
+/// A value as a column holds it.
+pub(super) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
+    serde_json::to_string(value).map_err(|e| Failure::internal(format!("the queue cannot store this: {e}")))
+}
+
+/// The value that a column holds.
+pub(super) fn parsed<T: DeserializeOwned>(row: &SqliteRow, column: &str) -> Result<T> {
+    let text: String = row.try_get(column)?;
+    serde_json::from_str(&text).map_err(|e| {
+        tracing::error!(column, error = %e, "the queue holds a broken value");
+        Failure::internal("the job queue holds a broken value")
+    })
+}
+
+/// A job from its row, with `position` beside the columns of the table.
+pub(super) fn job(row: &SqliteRow) -> Result<Job> {
+    let options: Value = parsed(row, "options")?;
+    let moment = |column: &str| row.try_get::<Option<i64>, _>(column).map(|m| m.map(Moment));
+    let state: String = row.try_get("state")?;
+    let position: Option<i64> = row.try_get("position")?;
+    let error: Option<String> = row.try_get("error")?;
+    let progress: String = row.try_get("progress")?;
+    Ok(Job {
+        id: row.try_get("id")?,
+        state: State::from_name(&state).ok_or_else(|| Failure::internal("the job queue holds a broken state"))?,
+        recipe: options.get("recipe").cloned().unwrap_or_default(),
+        metadata: options.get("metadata").cloned().unwrap_or_default(),
+        options,
+        progress: if progress == "{}" { Progress::default() } else { parsed(row, "progress")? },
+        queue_position: position.and_then(|p| u64::try_from(p).ok()),
+        attempt: row.try_get("attempt")?,
+        created_at: Moment(row.try_get("created_at")?),
+        started_at: moment("started_at")?,
+        finished_at: moment("finished_at")?,
+        artifacts_expire_at: moment("artifacts_expire_at")?,
+        timings: parsed(row, "timings")?,
+        warnings: parsed(row, "warnings")?,
+        error: error.and_then(|text| serde_json::from_str(&text).ok()),
+        artifacts: parsed(row, "artifacts")?,
+    })
+}
