@@ -44,6 +44,8 @@ pub fn run(arguments: &Refine) -> Result<()> {
     }
     if !arguments.quiet {
         eprint!("{}", summary(&outcome.report));
+        let times: Vec<String> = context.timings().iter().map(|t| format!("{} {:.2} s", t.stage, t.seconds)).collect();
+        eprintln!("{}", times.join(", "));
         for (path, bytes) in written {
             eprintln!("wrote {} ({bytes} bytes)", path.display());
         }

@@ -12,15 +12,18 @@ use crate::context::Context;
 use crate::error::{Code, Failure, Result};
 
 /// Cells along the side of a square that would hold everything, in the coarse search, by number of pieces.
-const COARSE_SIDE: [(usize, f64); 4] = [(12, 160.0), (60, 224.0), (300, 352.0), (usize::MAX, 512.0)];
+const COARSE_SIDE: [(usize, f64); 5] = [(6, 256.0), (12, 160.0), (60, 224.0), (300, 352.0), (usize::MAX, 512.0)];
 /// The same at the fine resolution, where whole texels do not stop it earlier.
-const FINE_SIDE: [(usize, f64); 3] = [(60, 2048.0), (300, 2048.0), (usize::MAX, 2048.0)];
+const FINE_SIDE: [(usize, f64); 3] = [(6, 4096.0), (300, 2048.0), (usize::MAX, 1792.0)];
 /// Words that the coarse search may look at; about half a second on two cores.
-const COARSE_WORK: f64 = 1e8;
+const COARSE_WORK: f64 = 9e7;
 /// Plans evaluated at once: fixed, so that the result does not depend on the number of threads.
 const BATCH: usize = 16;
 /// Coarse plans that are built at the fine resolution.
 const FINALISTS: usize = 4;
+/// Up to so many pieces keep to the orientations of the coarse plans at the fine resolution; of more, small ones fill holes better
+/// with all of theirs.
+const NARROWED: usize = 60;
 /// Rules that the search chooses from.
 const RULES: [Rule; 3] = [
     Rule { growth: 4.0, top: 1.0, low: 0.0 },
@@ -35,8 +38,9 @@ fn by_count(table: &[(usize, f64)], n: usize) -> f64 {
 }
 
 /// Angles a quarter for a piece, by its place in the order of areas: large pieces decide the sheet's size.
-fn by_rank(rank: usize) -> Angles {
+fn by_rank(rank: usize, count: usize) -> Angles {
     match rank {
+        0..6 if count <= 6 => Angles::Several(11),
         0..14 => Angles::Several(3),
         14..200 => Angles::Several(1),
         _ => Angles::Axes,
@@ -62,7 +66,7 @@ pub fn pack(request: &Request<'_>, context: &Context) -> Result<Packing> {
         .pieces
         .par_iter()
         .zip(&rank)
-        .map(|(p, &rank)| orientations(p, request.rotation, request.mirror, by_rank(rank)))
+        .map(|(p, &rank)| orientations(p, request.rotation, request.mirror, by_rank(rank, n)))
         .collect();
     let area: f64 = request.pieces.iter().map(|p| p.area).sum::<f64>() * request.scale.powi(2);
     let side = (area / 0.7).sqrt().max(1e-6);
@@ -88,18 +92,20 @@ struct Tried {
     cost: f64,
     work: u64,
     width: usize,
+    /// By piece, the orientation chosen.
+    chosen: Vec<u32>,
 }
 
 impl Search<'_> {
     fn run(&self) -> Result<Packing> {
         let side = self.side;
         let n = self.request.pieces.len();
-        let coarse = self.shapes(self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
+        let coarse = self.shapes(self.ways, self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
         self.context.step(0.1, "searching")?;
         let (tried, mut work) = self.coarse(&coarse)?;
         let widest = tried.iter().map(|t| t.width).max().unwrap_or(0) as f64 * coarse.cell;
         let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
-        let fine = self.shapes(fine_cell, widest + fine_cell);
+        let fine = self.shapes(&self.narrowed(&tried), fine_cell, widest + fine_cell);
         self.context.step(0.6, "placing")?;
         let mut best: Option<(f64, Layout)> = None;
         let finals: Vec<Result<(f64, Layout)>> = tried
@@ -129,7 +135,7 @@ impl Search<'_> {
         self.context.step(0.95, "placing")?;
         match best {
             Some((_, layout)) => Ok(self.one_sheet(&layout, &fine, work)),
-            None => self.pages(&self.shapes(fine_cell, self.span), work),
+            None => self.pages(&self.shapes(self.ways, fine_cell, self.span), work),
         }
     }
 
@@ -145,10 +151,24 @@ impl Search<'_> {
         units * spacing.unit
     }
 
+    /// The orientations worth trying at the fine resolution: those that the finalists chose, or all where pieces are many.
+    fn narrowed(&self, finalists: &[Tried]) -> Vec<Vec<Orientation>> {
+        let narrow = |(piece, all): (usize, &Vec<Orientation>)| {
+            if self.request.pieces.len() > NARROWED {
+                return all.clone();
+            }
+            let mut chosen: Vec<u32> = finalists.iter().map(|t| t.chosen[piece]).collect();
+            chosen.sort_unstable();
+            chosen.dedup();
+            chosen.into_iter().map(|k| all[k as usize]).collect()
+        };
+        self.ways.iter().enumerate().map(narrow).collect()
+    }
+
     /// The pieces at a cell size, for strips up to `widest` texels wide.
-    fn shapes(&self, cell: f64, widest: f64) -> Shapes {
+    fn shapes(&self, ways: &[Vec<Orientation>], cell: f64, widest: f64) -> Shapes {
         let widest = widest.min(self.request.max[0]);
-        Shapes::new(self.request.pieces, self.ways, cell, self.request.scale, &self.request.spacing, widest)
+        Shapes::new(self.request.pieces, ways, cell, self.request.scale, &self.request.spacing, widest)
     }
 
     /// Longest side of a strip in cells.
@@ -256,7 +276,8 @@ impl Search<'_> {
                     plan.height = plan.height.min(self.height_for(cost, plan.width, shapes));
                 }
                 let (layout, _) = greedy(shapes, &plan);
-                Tried { cost: self.cost(&layout, shapes), work: layout.work, width: layout.width, plan }
+                let chosen = layout.spots.iter().map(|s| s.map_or(0, |s| s.orientation)).collect();
+                Tried { cost: self.cost(&layout, shapes), work: layout.work, width: layout.width, chosen, plan }
             })
             .collect();
         for t in tried {

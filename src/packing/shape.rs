@@ -67,7 +67,7 @@ impl Shapes {
                     let probe = Probe::new(&mask.dilated(gutter), pitch);
                     Shape { cells: mask.count(), mask, probe, anchor, linear }
                 };
-                own.into_iter().map(shape).collect()
+                own.into_par_iter().map(shape).collect()
             })
             .collect();
         Shapes { cell, gutter, stride, of_piece, pitch }
