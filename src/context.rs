@@ -115,6 +115,8 @@ impl Context {
     pub fn finish(&self) {
         let mut state = self.lock();
         self.close_stage(&mut state);
+        state.progress.stage = state.weights.last().map(|w| w.0.clone()).unwrap_or_default();
+        state.progress.message = "done".to_owned();
         state.progress.fraction = 1.0;
         self.listener.progress(&state.progress);
     }

@@ -6,7 +6,9 @@ use axum::http::{HeaderMap, header};
 use futures_util::{Stream, StreamExt};
 use serde_json::Value;
 use std::path::PathBuf;
+use std::time::Duration;
 use tokio::io::AsyncWriteExt;
+use tokio::sync::SemaphorePermit;
 use tokio::time::timeout;
 use utoipa::ToSchema;
 
@@ -21,6 +23,9 @@ use crate::refine::parse;
 
 /// Bytes of the `options` of a submission.
 pub(super) const MAX_OPTIONS_BYTES: usize = 1 << 20;
+/// How much of a refused request is still read, and for how long.
+const DRAINED_BYTES: usize = 32 << 20;
+const DRAINED_TIME: Duration = Duration::from_secs(3);
 /// Bytes of a file's relative path.
 const MAX_PATH_BYTES: usize = 1024;
 
@@ -40,18 +45,13 @@ pub(super) struct Submission {
 
 /// Receives a submission and stores it as a job.
 pub(super) async fn receive(app: &App, request: Request) -> Answer<Job> {
-    let limits = &app.jobs.limits;
-    let Ok(_permit) = app.uploads.try_acquire() else {
-        return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
+    let _permit = match admit(app, request.headers()).await {
+        Ok(permit) => permit,
+        Err(problem) => {
+            drain(request).await;
+            return Err(problem);
+        }
     };
-    if app.jobs.queue.waiting().await? >= limits.max_queued {
-        return Err(crate::jobs::queue::queue_full().into());
-    }
-    let announced = request.headers().get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
-    // The form around the files may add a little.
-    if announced.is_some_and(|n| n > limits.max_upload.saturating_add(MAX_OPTIONS_BYTES as u64 * 2)) {
-        return Err(too_large(limits.max_upload));
-    }
     let mut incoming = Incoming::new(app).await?;
     let media_type = media_type(request.headers());
     let options = match media_type.as_str() {
@@ -74,6 +74,40 @@ pub(super) async fn receive(app: &App, request: Request) -> Answer<Job> {
     // A task of its own: a client that goes away now does not stop it half-way.
     let stored = tokio::spawn(async move { jobs.submit(&id, &options, &manifest).await }).await;
     Ok(stored.map_err(|e| Failure::internal(format!("the submission was lost: {e}")))??)
+}
+
+/// What is refused before anything is read.
+async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> Answer<SemaphorePermit<'a>> {
+    let limits = &app.jobs.limits;
+    let Ok(permit) = app.uploads.try_acquire() else {
+        return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
+    };
+    if app.jobs.queue.waiting().await? >= limits.max_queued {
+        return Err(crate::jobs::queue::queue_full().into());
+    }
+    let announced = headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
+    // The form around the files may add a little.
+    if announced.is_some_and(|n| n > limits.max_upload.saturating_add(MAX_OPTIONS_BYTES as u64 * 2)) {
+        return Err(too_large(limits.max_upload));
+    }
+    Ok(permit)
+}
+
+/// Reads the rest of a refused request for a while: a client that is still sending would lose the answer when
+/// the connection closes under it.
+async fn drain(request: Request) {
+    let mut body = request.into_body().into_data_stream();
+    let mut left = DRAINED_BYTES;
+    let read = async {
+        while let Some(Ok(chunk)) = body.next().await {
+            left = left.saturating_sub(chunk.len());
+            if left == 0 {
+                break;
+            }
+        }
+    };
+    // Nobody waits for what was refused.
+    let _ = timeout(DRAINED_TIME, read).await;
 }
 
 /// The raw model as the body; its options are in the query.

@@ -33,7 +33,7 @@ impl Orientation {
 pub(crate) enum Angles {
     /// The piece's best axes.
     Axes,
-    /// The best axes, upright as it is, and so many more, evenly spread.
+    /// The best axes, the tightest box, upright as it is, and so many more, evenly spread.
     Several(u32),
 }
 
@@ -45,10 +45,8 @@ pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, angl
     if rotation == Rotation::Any {
         let axes = best_axes(piece);
         within = vec![axes];
-        if angles != Angles::Axes && axes > 1e-3 && axes < FRAC_PI_2 - 1e-3 {
-            within.push(0.0);
-        }
         if let Angles::Several(more) = angles {
+            within.extend([0.0, tightest_box(piece)].into_iter().filter(|a| (a - axes).abs() > 1e-3));
             within.extend((1..=more).map(|k| (axes + FRAC_PI_2 * f64::from(k) / f64::from(more + 1)) % FRAC_PI_2));
         }
     }
@@ -72,16 +70,61 @@ pub(crate) fn best_axes(piece: &Piece) -> f64 {
         let (sin, cos) = angle.sin_cos();
         piece.border.iter().map(|d| (d.x * cos - d.y * sin).abs() + (d.x * sin + d.y * cos).abs()).sum()
     };
-    let step = FRAC_PI_2 / 90.0;
-    let mut best = 0;
-    let mut least = f64::INFINITY;
+    let found = least(cost, FRAC_PI_2 / 90.0);
+    // Axis-aligned pieces stay exactly so.
+    if cost(0.0) <= cost(found) * (1.0 + 1e-9) { 0.0 } else { found.rem_euclid(FRAC_PI_2) }
+}
+
+/// The angle in 0..pi/2 at which the piece's bounding box is smallest. Searched on a grid of one degree, then by golden section.
+fn tightest_box(piece: &Piece) -> f64 {
+    use std::f64::consts::FRAC_PI_2;
+    let points = hull(piece.triangles.iter().flatten().copied().collect());
+    let area = |angle: f64| -> f64 {
+        let (sin, cos) = angle.sin_cos();
+        let mut low = DVec2::INFINITY;
+        let mut high = DVec2::NEG_INFINITY;
+        for p in &points {
+            let q = DVec2::new(p.x * cos - p.y * sin, p.x * sin + p.y * cos);
+            low = low.min(q);
+            high = high.max(q);
+        }
+        if low.is_finite() { (high - low).element_product() } else { 0.0 }
+    };
+    least(area, FRAC_PI_2 / 90.0).rem_euclid(FRAC_PI_2)
+}
+
+/// The convex hull (monotone chain).
+fn hull(mut points: Vec<DVec2>) -> Vec<DVec2> {
+    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    points.dedup();
+    let half = |points: &mut dyn Iterator<Item = &DVec2>| {
+        let mut chain: Vec<DVec2> = Vec::new();
+        for &p in points {
+            while let [.., a, b] = chain[..] {
+                if (b - a).perp_dot(p - b) > 0.0 {
+                    break;
+                }
+                chain.pop();
+            }
+            chain.push(p);
+        }
+        chain
+    };
+    let mut all = half(&mut points.iter());
+    all.extend(half(&mut points.iter().rev()));
+    all
+}
+
+/// The place in 0..90 steps where `cost` is least, to a thousandth of a step.
+fn least(cost: impl Fn(f64) -> f64, step: f64) -> f64 {
+    let mut best = (0, f64::INFINITY);
     for k in 0..90 {
         let c = cost(step * f64::from(k));
-        if c < least - 1e-9 {
-            (best, least) = (k, c);
+        if c < best.1 - 1e-9 {
+            best = (k, c);
         }
     }
-    let (mut a, mut b) = (step * (f64::from(best) - 1.0), step * (f64::from(best) + 1.0));
+    let (mut a, mut b) = (step * (f64::from(best.0) - 1.0), step * (f64::from(best.0) + 1.0));
     for _ in 0..20 {
         let (p, q) = (a + (b - a) * 0.382, b - (b - a) * 0.382);
         if cost(p) <= cost(q) {
@@ -90,9 +133,7 @@ pub(crate) fn best_axes(piece: &Piece) -> f64 {
             a = p;
         }
     }
-    let found = (a + b) / 2.0;
-    // Axis-aligned pieces stay exactly so.
-    if cost(0.0) <= cost(found) + 1e-9 * least { 0.0 } else { found.rem_euclid(FRAC_PI_2) }
+    (a + b) / 2.0
 }
 
 #[cfg(test)]
@@ -106,6 +147,9 @@ mod tests {
             let sides = [DVec2::new(3.0, 0.0), DVec2::new(0.0, 1.0), DVec2::new(-3.0, 0.0), DVec2::new(0.0, -1.0)];
             let piece = Piece { triangles: Vec::new(), border: sides.map(|d| turn * d).to_vec(), area: 3.0 };
             assert!((best_axes(&piece).to_degrees() - degrees).abs() < 0.01, "{degrees}");
+            let [a, b, c] = [DVec2::ZERO, DVec2::new(3.0, 0.0), DVec2::new(1.0, 1.0)].map(|p| turn * p);
+            let piece = Piece { triangles: vec![[a, b, c]], ..piece };
+            assert!((tightest_box(&piece).to_degrees() - degrees).abs() < 0.01, "{degrees}");
         }
     }
 

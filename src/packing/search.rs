@@ -24,6 +24,8 @@ const FINALISTS: usize = 4;
 /// Up to so many pieces keep to the orientations of the coarse plans at the fine resolution; of more, small ones fill holes better
 /// with all of theirs.
 const NARROWED: usize = 60;
+/// So many pieces are few.
+const FEW: usize = 20;
 /// Rules that the search chooses from.
 const RULES: [Rule; 3] = [
     Rule { growth: 4.0, top: 1.0, low: 0.0 },
@@ -37,10 +39,10 @@ fn by_count(table: &[(usize, f64)], n: usize) -> f64 {
     table.iter().find(|(limit, _)| n <= *limit).map_or(512.0, |(_, value)| *value)
 }
 
-/// Angles a quarter for a piece, by its place in the order of areas: large pieces decide the sheet's size.
-fn by_rank(rank: usize, count: usize) -> Angles {
+/// Angles for a piece by its share of the area and its place in the order of areas: large pieces decide the sheet's size.
+fn angles(share: f64, rank: usize) -> Angles {
     match rank {
-        0..6 if count <= 6 => Angles::Several(11),
+        0..6 if share > 0.1 => Angles::Several(11),
         0..14 => Angles::Several(3),
         14..200 => Angles::Several(1),
         _ => Angles::Axes,
@@ -62,14 +64,14 @@ pub fn pack(request: &Request<'_>, context: &Context) -> Result<Packing> {
     for (r, &piece) in by_area.iter().enumerate() {
         rank[piece] = r;
     }
+    let total = request.pieces.iter().map(|p| p.area).sum::<f64>().max(1e-12);
     let ways: Vec<Vec<Orientation>> = request
         .pieces
         .par_iter()
         .zip(&rank)
-        .map(|(p, &rank)| orientations(p, request.rotation, request.mirror, by_rank(rank, n)))
+        .map(|(p, &rank)| orientations(p, request.rotation, request.mirror, angles(p.area / total, rank)))
         .collect();
-    let area: f64 = request.pieces.iter().map(|p| p.area).sum::<f64>() * request.scale.powi(2);
-    let side = (area / 0.7).sqrt().max(1e-6);
+    let side = (total * request.scale.powi(2) / 0.7).sqrt().max(1e-6);
     let longest = request.pieces.iter().map(|p| p.diagonal() * request.scale).fold(0.0, f64::max);
     let span = 3.0 * side + longest + 64.0 * request.spacing.unit;
     Search { request, ways: &ways, context, side, span }.run()
@@ -105,16 +107,19 @@ impl Search<'_> {
         let (tried, mut work) = self.coarse(&coarse)?;
         let widest = tried.iter().map(|t| t.width).max().unwrap_or(0) as f64 * coarse.cell;
         let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
-        let fine = self.shapes(&self.narrowed(&tried), fine_cell, widest + fine_cell);
+        let fine = self.shapes(&self.narrowed(&tried), fine_cell, 1.01 * widest + 2.0 * fine_cell);
         self.context.step(0.6, "placing")?;
         let mut best: Option<(f64, Layout)> = None;
-        let finals: Vec<Result<(f64, Layout)>> = tried
-            .par_iter()
-            .take(if n > 300 { 2 } else { FINALISTS })
-            .map(|t| {
+        // Few pieces are cheap: widths next to the coarse one are tried as well.
+        let widths: &[f64] = if n <= FEW { &[1.0, 0.995, 0.99, 0.985, 1.005, 1.01] } else { &[1.0] };
+        let finalists = tried.iter().take(if n > 300 { 2 } else { FINALISTS });
+        let finals: Vec<(&Tried, f64)> = finalists.flat_map(|t| widths.iter().map(move |w| (t, *w))).collect();
+        let finals: Vec<Result<(f64, Layout)>> = finals
+            .into_par_iter()
+            .map(|(t, factor)| {
                 self.context.check()?;
                 let ratio = coarse.cell / fine.cell;
-                let width = ((t.width as f64 * ratio).ceil() as usize).min(self.limit(0, &fine));
+                let width = ((t.width as f64 * ratio * factor).ceil() as usize).min(self.limit(0, &fine));
                 let height = (self.limit(1, &fine))
                     .min((self.height_for(t.cost, t.width, &coarse) as f64 * ratio * 1.3) as usize + 64);
                 let plan = Plan { width, height, partial: false, ..t.plan.clone() };

@@ -120,7 +120,7 @@ pub fn inspect_and_judge(input: &Input, options: &Options, context: &Context) ->
     context.enter(0);
     let loaded = loaded(input, options, context)?;
     context.enter(1);
-    let refinements: Vec<Refinement> = loaded.sets.iter().map(|set| Refinement::untouched(set)).collect();
+    let refinements: Vec<Refinement> = loaded.sets.iter().map(Refinement::untouched).collect();
     let report = report(&loaded, &refinements, None, context)?;
     let failures = unmet(&report, &options.require)?;
     context.finish();

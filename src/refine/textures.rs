@@ -148,7 +148,7 @@ fn format_of(slot: &Slot, page: &Image, options: &Texture, context: &Context, po
         return wanted;
     }
     let deep = matches!(page.samples, Samples::U16(_));
-    if page.channels % 2 == 0 || deep {
+    if page.channels.is_multiple_of(2) || deep {
         context.warn(
             Warning::new(
                 "kept_png",
