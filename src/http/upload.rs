@@ -1,13 +1,16 @@
 //! How a submission comes in: streamed to the disk, counted while it streams, checked, handed to the queue.
 
-use axum::body::Bytes;
+use axum::body::{Body, BodyDataStream, Bytes};
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, header};
 use futures_util::{Stream, StreamExt};
 use serde_json::Value;
 use std::path::PathBuf;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::AsyncWriteExt;
+use tokio::runtime::Handle;
 use tokio::sync::SemaphorePermit;
 use tokio::time::timeout;
 use utoipa::ToSchema;
@@ -45,13 +48,8 @@ pub(super) struct Submission {
 
 /// Receives a submission and stores it as a job.
 pub(super) async fn receive(app: &App, request: Request) -> Answer<Job> {
-    let _permit = match admit(app, request.headers()).await {
-        Ok(permit) => permit,
-        Err(problem) => {
-            drain(request).await;
-            return Err(problem);
-        }
-    };
+    let request = request.map(|body| Body::from_stream(Drained(Some(body.into_data_stream()))));
+    let _permit = admit(app, request.headers()).await?;
     let mut incoming = Incoming::new(app).await?;
     let media_type = media_type(request.headers());
     let options = match media_type.as_str() {
@@ -93,21 +91,40 @@ async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> Answer<SemaphorePermit<
     Ok(permit)
 }
 
-/// Reads the rest of a refused request for a while: a client that is still sending would lose the answer when
-/// the connection closes under it.
-async fn drain(request: Request) {
-    let mut body = request.into_body().into_data_stream();
-    let mut left = DRAINED_BYTES;
-    let read = async {
-        while let Some(Ok(chunk)) = body.next().await {
-            left = left.saturating_sub(chunk.len());
-            if left == 0 {
-                break;
-            }
+/// The body of a request, whose rest is still read for a while when it is dropped before its end: a client that is
+/// still sending would lose the answer when the connection closes under it.
+struct Drained(Option<BodyDataStream>);
+
+impl Stream for Drained {
+    type Item = Result<Bytes, axum::Error>;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        let Some(body) = &mut self.0 else { return Poll::Ready(None) };
+        let next = ready!(body.poll_next_unpin(context));
+        if !matches!(next, Some(Ok(_))) {
+            self.0 = None;
         }
-    };
-    // Nobody waits for what was refused.
-    let _ = timeout(DRAINED_TIME, read).await;
+        Poll::Ready(next)
+    }
+}
+
+impl Drop for Drained {
+    fn drop(&mut self) {
+        let (Some(mut body), Ok(runtime)) = (self.0.take(), Handle::try_current()) else { return };
+        runtime.spawn(async move {
+            let mut left = DRAINED_BYTES;
+            let read = async {
+                while let Some(Ok(chunk)) = body.next().await {
+                    left = left.saturating_sub(chunk.len());
+                    if left == 0 {
+                        break;
+                    }
+                }
+            };
+            // Nobody waits for what was refused.
+            let _ = timeout(DRAINED_TIME, read).await;
+        });
+    }
 }
 
 /// The raw model as the body; its options are in the query.

@@ -14,9 +14,9 @@ use crate::error::{Code, Failure, Result};
 /// Cells along the side of a square that would hold everything, in the coarse search, by number of pieces.
 const COARSE_SIDE: [(usize, f64); 5] = [(6, 256.0), (12, 160.0), (60, 224.0), (300, 352.0), (usize::MAX, 512.0)];
 /// The same at the fine resolution, where whole texels do not stop it earlier.
-const FINE_SIDE: [(usize, f64); 3] = [(6, 4096.0), (300, 2048.0), (usize::MAX, 1792.0)];
+const FINE_SIDE: [(usize, f64); 3] = [(6, 3072.0), (300, 2048.0), (usize::MAX, 1792.0)];
 /// Words that the coarse search may look at; about half a second on two cores.
-const COARSE_WORK: f64 = 9e7;
+const COARSE_WORK: f64 = 8e7;
 /// Plans evaluated at once: fixed, so that the result does not depend on the number of threads.
 const BATCH: usize = 16;
 /// Coarse plans that are built at the fine resolution.
@@ -24,8 +24,6 @@ const FINALISTS: usize = 4;
 /// Up to so many pieces keep to the orientations of the coarse plans at the fine resolution; of more, small ones fill holes better
 /// with all of theirs.
 const NARROWED: usize = 60;
-/// So many pieces are few.
-const FEW: usize = 20;
 /// Rules that the search chooses from.
 const RULES: [Rule; 3] = [
     Rule { growth: 4.0, top: 1.0, low: 0.0 },
@@ -107,19 +105,15 @@ impl Search<'_> {
         let (tried, mut work) = self.coarse(&coarse)?;
         let widest = tried.iter().map(|t| t.width).max().unwrap_or(0) as f64 * coarse.cell;
         let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
-        let fine = self.shapes(&self.narrowed(&tried), fine_cell, 1.01 * widest + 2.0 * fine_cell);
+        let fine = self.shapes(&self.narrowed(&tried), fine_cell, widest + fine_cell);
         self.context.step(0.6, "placing")?;
         let mut best: Option<(f64, Layout)> = None;
-        // Few pieces are cheap: widths next to the coarse one are tried as well.
-        let widths: &[f64] = if n <= FEW { &[1.0, 0.995, 0.99, 0.985, 1.005, 1.01] } else { &[1.0] };
-        let finalists = tried.iter().take(if n > 300 { 2 } else { FINALISTS });
-        let finals: Vec<(&Tried, f64)> = finalists.flat_map(|t| widths.iter().map(move |w| (t, *w))).collect();
-        let finals: Vec<Result<(f64, Layout)>> = finals
-            .into_par_iter()
-            .map(|(t, factor)| {
+        let finals: Vec<Result<(f64, Layout)>> = tried[..tried.len().min(if n > 300 { 2 } else { FINALISTS })]
+            .par_iter()
+            .map(|t| {
                 self.context.check()?;
                 let ratio = coarse.cell / fine.cell;
-                let width = ((t.width as f64 * ratio * factor).ceil() as usize).min(self.limit(0, &fine));
+                let width = ((t.width as f64 * ratio).ceil() as usize).min(self.limit(0, &fine));
                 let height = (self.limit(1, &fine))
                     .min((self.height_for(t.cost, t.width, &coarse) as f64 * ratio * 1.3) as usize + 64);
                 let plan = Plan { width, height, partial: false, ..t.plan.clone() };
