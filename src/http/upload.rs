@@ -36,7 +36,7 @@ const MAX_PATH_BYTES: usize = 1024;
 #[derive(ToSchema)]
 #[expect(dead_code, reason = "describes the form in the OpenAPI document; its fields are read as a stream")]
 pub(super) struct Submission {
-    /// The model: .glb, .gltf, .obj or .zip. Several of them share one atlas.
+    /// The model: .glb, .gltf, .obj or .zip. One a job in this version.
     #[schema(value_type = Vec<String>, format = Binary)]
     model: Vec<Vec<u8>>,
     /// Files that the models name; the file name may hold a relative path.
