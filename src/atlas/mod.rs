@@ -9,6 +9,7 @@ pub(crate) mod bvh;
 mod charts;
 mod check;
 mod clusters;
+mod cut;
 mod edit;
 mod ids;
 mod overlap;
@@ -23,7 +24,7 @@ pub use clusters::{Clusters, clusters};
 pub use edit::Move;
 pub use ids::{ChartId, FaceId, UvId, VertexId};
 pub use overlap::{Overlaps, orientation, overlapping_charts, overlaps, penetration, triangles_overlap};
-pub use topology::Topology;
+pub use topology::{HalfEdge, NONE, Topology};
 
 use glam::{DVec2, DVec3};
 
