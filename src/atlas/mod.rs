@@ -13,6 +13,7 @@ mod cut;
 mod edit;
 mod ids;
 mod overlap;
+mod slice;
 #[cfg(test)]
 pub(crate) mod testing;
 mod topology;
@@ -24,6 +25,7 @@ pub use clusters::{Clusters, clusters};
 pub use edit::Move;
 pub use ids::{ChartId, FaceId, UvId, VertexId};
 pub use overlap::{Overlaps, orientation, overlapping_charts, overlaps, penetration, triangles_overlap};
+pub use slice::{Segment, Slicer};
 pub use topology::{HalfEdge, NONE, Topology};
 
 use glam::{DVec2, DVec3};

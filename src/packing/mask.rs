@@ -33,7 +33,8 @@ impl Mask {
         mask
     }
 
-    fn add_triangle(&mut self, t: &[DVec2; 3]) {
+    /// Sets the cells that a triangle touches; of a degenerate one, those that its longest edge touches.
+    pub fn add_triangle(&mut self, t: &[DVec2; 3]) {
         let low = t[0].min(t[1]).min(t[2]);
         let high = t[0].max(t[1]).max(t[2]);
         let (first, last) = cells(low.y, high.y, self.height);
@@ -78,12 +79,19 @@ impl Mask {
         }
     }
 
+    /// Sets the cells of another mask placed at `(x, y)`, which must lie inside.
+    pub fn stamp(&mut self, other: &Mask, x: usize, y: usize) {
+        for (row, first, last) in other.runs() {
+            self.set_run(y + row as usize, x + first as usize, x + last as usize);
+        }
+    }
+
     /// Words of a row.
     pub fn row(&self, row: usize) -> &[u64] {
         &self.bits[row * self.words..(row + 1) * self.words]
     }
 
-    #[cfg(test)]
+    /// Whether a cell is set.
     pub fn get(&self, x: usize, y: usize) -> bool {
         self.row(y)[x / 64] >> (x % 64) & 1 == 1
     }

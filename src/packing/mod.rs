@@ -17,7 +17,13 @@ mod shape;
 use glam::{DMat2, DVec2};
 
 pub use fit::{Fitted, pack_into};
+pub(crate) use greedy::{Layout, Plan, Rule, Spot, greedy, settle};
+pub(crate) use mask::Mask;
+pub(crate) use occupancy::{Pitch, Probe};
+pub(crate) use orientation::Orientation;
+pub(crate) use random::Random;
 pub use search::pack;
+pub(crate) use shape::{Shape, Shapes};
 
 use crate::refine::options::Rotation;
 

@@ -1,5 +1,7 @@
 //! Pieces at one resolution: each allowed orientation as a mask and a probe.
 
+use std::sync::Arc;
+
 use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
@@ -32,8 +34,8 @@ pub(crate) struct Shapes {
     pub gutter: usize,
     /// Positions are multiples of this many cells.
     pub stride: usize,
-    /// By piece, by orientation.
-    pub of_piece: Vec<Vec<Shape>>,
+    /// By piece, by orientation. Shared, so that a search that changes few pieces keeps the others.
+    pub of_piece: Vec<Arc<Vec<Shape>>>,
     /// How sheets of this resolution lie in memory.
     pub pitch: Pitch,
 }
@@ -67,7 +69,7 @@ impl Shapes {
                     let probe = Probe::new(&mask.dilated(gutter), pitch);
                     Shape { cells: mask.count(), mask, probe, anchor, linear }
                 };
-                own.into_par_iter().map(shape).collect()
+                Arc::new(own.into_par_iter().map(shape).collect())
             })
             .collect();
         Shapes { cell, gutter, stride, of_piece, pitch }

@@ -1,0 +1,221 @@
+//! Panels: the pieces that are cut and packed, as outlines in their chart's coordinates, with what packing needs of them.
+
+use std::sync::{Arc, OnceLock};
+
+use glam::{DMat2, DVec2};
+
+use super::outline::{Line, Outline};
+use super::void::{VoidBox, void_boxes};
+use crate::packing::{Mask, Orientation, Pitch, Probe, Shape};
+use crate::refine::options::Rotation;
+
+/// How panels are rasterised during the search.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Raster {
+    /// Texels per cell.
+    pub cell: f64,
+    /// Panels grow outwards by so many texels, half of the gutter (Box Cutter 3.2.2, "Outward Offsetting").
+    pub inflate: f64,
+    /// How sheets lie in memory.
+    pub pitch: Pitch,
+    /// Rotations that packing may use.
+    pub rotation: Rotation,
+    /// Whether panels may be mirrored.
+    pub mirror: bool,
+}
+
+/// A chart, or a part of one.
+#[derive(Debug)]
+pub(crate) struct Panel {
+    /// Number of the chart, or cluster, that it is a part of.
+    pub chart: u32,
+    /// Its polygon.
+    pub outline: Outline,
+    /// Area in square texels.
+    pub area: f64,
+    /// Length of the border in texels.
+    pub length: f64,
+    /// Whether it may be cut.
+    pub cuttable: bool,
+    /// The angle that turns its border along the axes, in 0..pi/2 (Box Cutter 3.2.1).
+    pub axes: f64,
+    shapes: OnceLock<Arc<Vec<Shape>>>,
+    voids: OnceLock<Vec<LocalVoid>>,
+}
+
+/// A void box in a panel's own best-axes box, as lines in chart coordinates.
+#[derive(Debug, Clone)]
+pub(crate) struct LocalVoid {
+    /// Area in square texels.
+    pub area: f64,
+    /// Pairs of lines, those of one direction together: each box offers its sides in one direction or in the other.
+    pub sides: [Vec<Line>; 2],
+    /// How far each direction's lines may shift: the panel's box across them, in texels.
+    pub across: [f64; 2],
+}
+
+impl Panel {
+    /// A panel of an outline.
+    pub fn new(chart: u32, outline: Outline, area: f64, cuttable: bool, rotation: Rotation) -> Self {
+        let axes = if rotation == Rotation::Any { best_axes(&outline) } else { 0.0 };
+        let length = outline.length();
+        Panel { chart, outline, area, length, cuttable, axes, shapes: OnceLock::new(), voids: OnceLock::new() }
+    }
+
+    /// The panel's shapes, best axes first.
+    pub fn shapes(&self, raster: &Raster) -> Arc<Vec<Shape>> {
+        let make = || {
+            let quarters = if raster.rotation == Rotation::None { 1 } else { 4 };
+            let mut shapes = Vec::new();
+            for &mirror in if raster.mirror { &[false, true][..] } else { &[false] } {
+                for q in 0..quarters {
+                    let turn = std::f64::consts::FRAC_PI_2 * f64::from(q);
+                    let o = Orientation { angle: if mirror { turn - self.axes } else { turn + self.axes }, mirror };
+                    let linear = o.matrix();
+                    let (mask, anchor) = rasterise(&self.outline, linear, raster);
+                    let probe = Probe::new(&mask, raster.pitch);
+                    shapes.push(Shape { cells: mask.count(), mask, probe, anchor, linear });
+                }
+            }
+            Arc::new(shapes)
+        };
+        self.shapes.get_or_init(make).clone()
+    }
+
+    /// The largest void boxes of the panel in its best-axes box.
+    pub fn voids(&self, raster: &Raster, count: usize, shared: f64) -> &[LocalVoid] {
+        self.voids.get_or_init(|| {
+            let shapes = self.shapes(raster);
+            let Some(shape) = shapes.first() else { return Vec::new() };
+            let (w, h) = (shape.mask.width, shape.mask.height);
+            let across = [h as f64 * raster.cell, w as f64 * raster.cell];
+            void_boxes(&shape.mask, w, h, count, shared)
+                .iter()
+                .map(|b| LocalVoid {
+                    area: b.area() as f64 * raster.cell * raster.cell,
+                    sides: sides(b, w, h).map(|lines| {
+                        lines.iter().map(|(p, d)| to_chart(shape.linear, shape.anchor, *p * raster.cell, *d)).collect()
+                    }),
+                    across,
+                })
+                .collect()
+        })
+    }
+}
+
+/// The sides of a void box that do not lie on the whole box's own: horizontal ones and vertical ones, as point and direction in cells.
+pub(crate) fn sides(b: &VoidBox, width: usize, height: usize) -> [Vec<(DVec2, DVec2)>; 2] {
+    let horizontal = [b.y.0, b.y.1].into_iter().filter(|y| *y > 0 && *y < height);
+    let vertical = [b.x.0, b.x.1].into_iter().filter(|x| *x > 0 && *x < width);
+    [
+        horizontal.map(|y| (DVec2::new(0.0, y as f64), DVec2::X)).collect(),
+        vertical.map(|x| (DVec2::new(x as f64, 0.0), DVec2::Y)).collect(),
+    ]
+}
+
+/// A line of the sheet in the coordinates of a chart that lies there as `linear * uv - anchor`.
+pub(crate) fn to_chart(linear: DMat2, anchor: DVec2, point: DVec2, along: DVec2) -> Line {
+    let back = linear.transpose();
+    Line { point: back * (point + anchor), along: back * along }
+}
+
+/// The cells that an outline covers after `linear`, and what is subtracted from turned coordinates so that the mask's
+/// corner is the origin. A cell is set when the polygon, grown by the raster's margin, touches it.
+pub(crate) fn rasterise(outline: &Outline, linear: DMat2, raster: &Raster) -> (Mask, DVec2) {
+    let cell = raster.cell;
+    let turned: Vec<Vec<DVec2>> =
+        outline.loops.iter().map(|l| l.iter().map(|p| linear * *p / cell).collect()).collect();
+    let grow = raster.inflate / cell;
+    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for p in turned.iter().flatten() {
+        low = low.min(*p);
+        high = high.max(*p);
+    }
+    if !low.is_finite() {
+        (low, high) = (DVec2::ZERO, DVec2::ZERO);
+    }
+    let anchor = low - DVec2::splat(grow + 2e-3);
+    let size = (high + DVec2::splat(grow + 2e-3) - anchor).ceil().max(DVec2::ONE);
+    let (width, height) = (size.x as usize, size.y as usize);
+    let mut mask = Mask::new(width, height);
+    let mut rows: Vec<Vec<f64>> = vec![Vec::new(); height];
+    for l in &turned {
+        for i in 0..l.len() {
+            let (a, b) = (l[i] - anchor, l[(i + 1) % l.len()] - anchor);
+            let (top, bottom) = if a.y < b.y { (a, b) } else { (b, a) };
+            // Rows whose middle the edge crosses.
+            let first = (top.y - 0.5).ceil().max(0.0) as usize;
+            let slope = (bottom.x - top.x) / (bottom.y - top.y);
+            for (row, xs) in rows.iter_mut().enumerate().skip(first) {
+                let y = row as f64 + 0.5;
+                if y >= bottom.y {
+                    break;
+                }
+                xs.push(top.x + slope * (y - top.y));
+            }
+            border(&mut mask, a, b, grow);
+        }
+    }
+    for (row, xs) in rows.iter_mut().enumerate() {
+        xs.sort_by(f64::total_cmp);
+        for pair in xs.chunks_exact(2) {
+            let first = (pair[0] - 0.5).ceil().max(0.0) as usize;
+            let last = (pair[1] - 0.5).floor();
+            if last >= first as f64 {
+                mask.set_run(row, first, (last as usize).min(width - 1));
+            }
+        }
+    }
+    (mask, anchor * cell)
+}
+
+/// The cells about an edge, as far as `grow`.
+fn border(mask: &mut Mask, a: DVec2, b: DVec2, grow: f64) {
+    if grow <= 0.0 {
+        mask.add_triangle(&[a, b, b]);
+        return;
+    }
+    let along = (b - a).normalize_or(DVec2::X) * grow;
+    let across = along.perp();
+    let [p, q, r, s] = [a - along - across, b + along - across, b + along + across, a - along + across];
+    mask.add_triangle(&[p, q, r]);
+    mask.add_triangle(&[p, r, s]);
+}
+
+/// Directions are gathered in so many bins of a quarter turn.
+const BINS: usize = 180;
+
+/// The angle in 0..pi/2 that turns the outline as far as possible along the axes: the L1 norm of its edge vectors is least. Each
+/// vector is first averaged with its neighbours, so that ragged borders count by where they lead (Box Cutter 3.2.1).
+fn best_axes(outline: &Outline) -> f64 {
+    use std::f64::consts::FRAC_PI_2;
+    let mut weight = [0.0f64; BINS];
+    let mut edges: Vec<(f64, f64)> = Vec::new();
+    for l in &outline.loops {
+        let n = l.len();
+        let edge = |i: usize| l[(i + 1) % n] - l[i % n];
+        for i in 0..n {
+            let smooth = (edge(i + n - 1) + edge(i) + edge(i + 1)) / 3.0;
+            let length = smooth.length();
+            if length > 0.0 {
+                let angle = smooth.to_angle().rem_euclid(FRAC_PI_2);
+                weight[(angle / FRAC_PI_2 * BINS as f64) as usize % BINS] += length;
+                edges.push((angle, length));
+            }
+        }
+    }
+    let norm = |angle: f64| {
+        let (sin, cos) = angle.sin_cos();
+        sin.abs() + cos.abs()
+    };
+    let step = FRAC_PI_2 / BINS as f64;
+    let norms: Vec<f64> = (0..BINS).map(|k| norm(step * (k as f64 + 0.5))).collect();
+    // A direction at angle a turned by t lies at a + t, within a quarter turn.
+    let rough = |t: usize| (0..BINS).map(|a| weight[a] * norms[(a + t) % BINS]).sum::<f64>();
+    let best = (0..BINS).min_by(|&a, &b| rough(a).total_cmp(&rough(b))).unwrap_or(0) as f64;
+    let exact = |t: f64| edges.iter().map(|(a, length)| length * norm(a + t)).sum::<f64>();
+    let near = (-8..=8).map(|k| step * (best + f64::from(k) / 8.0));
+    let found = near.map(|t| (exact(t), t)).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0));
+    // What is upright stays exactly so.
+    if exact(0.0) <= found.0 * (1.0 + 1e-9) { 0.0 } else { found.1.rem_euclid(FRAC_PI_2) }
+}
