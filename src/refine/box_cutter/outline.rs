@@ -51,6 +51,14 @@ impl Chord {
     pub fn length(&self) -> f64 {
         self.to - self.from
     }
+
+    /// The edges of the outline that it ends at.
+    pub fn edges(&self, outline: &Outline) -> [(DVec2, DVec2); 2] {
+        self.ends.map(|(l, i)| {
+            let l = &outline.loops[l as usize];
+            (l[i as usize], l[(i as usize + 1) % l.len()])
+        })
+    }
 }
 
 impl Outline {

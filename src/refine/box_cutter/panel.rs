@@ -4,6 +4,7 @@ use std::sync::{Arc, OnceLock};
 
 use glam::{DMat2, DVec2};
 
+use super::edges::Patch;
 use super::outline::{Line, Outline};
 use super::void::{VoidBox, void_boxes};
 use crate::packing::{Mask, Orientation, Pitch, Probe, Shape};
@@ -35,8 +36,10 @@ pub(crate) struct Panel {
     pub area: f64,
     /// Length of the border in texels.
     pub length: f64,
-    /// Whether it may be cut.
-    pub cuttable: bool,
+    /// Its triangles, where cuts follow edges.
+    pub patch: Option<Patch>,
+    /// What it covers, where the outline does not say: it cannot be cut then.
+    rigid: Option<Vec<[DVec2; 3]>>,
     /// The angle that turns its border along the axes, in 0..pi/2 (Box Cutter 3.2.1).
     pub axes: f64,
     shapes: OnceLock<Arc<Vec<Shape>>>,
@@ -55,11 +58,33 @@ pub(crate) struct LocalVoid {
 }
 
 impl Panel {
-    /// A panel of an outline.
-    pub fn new(chart: u32, outline: Outline, area: f64, cuttable: bool, rotation: Rotation) -> Self {
+    /// A panel that can be cut.
+    pub fn new(chart: u32, outline: Outline, patch: Option<Patch>, rotation: Rotation) -> Self {
+        let area = outline.area();
+        Self::with(chart, outline, patch, None, area, rotation)
+    }
+
+    /// A panel that stays as it is: what overlaps itself, is several charts, or has no proper border.
+    pub fn rigid(chart: u32, outline: Outline, triangles: Vec<[DVec2; 3]>, area: f64, rotation: Rotation) -> Self {
+        Self::with(chart, outline, None, Some(triangles), area, rotation)
+    }
+
+    fn with(
+        chart: u32,
+        outline: Outline,
+        patch: Option<Patch>,
+        rigid: Option<Vec<[DVec2; 3]>>,
+        area: f64,
+        rotation: Rotation,
+    ) -> Self {
         let axes = if rotation == Rotation::Any { best_axes(&outline) } else { 0.0 };
         let length = outline.length();
-        Panel { chart, outline, area, length, cuttable, axes, shapes: OnceLock::new(), voids: OnceLock::new() }
+        Panel { chart, outline, area, length, patch, rigid, axes, shapes: OnceLock::new(), voids: OnceLock::new() }
+    }
+
+    /// Whether it may be cut.
+    pub fn cuttable(&self) -> bool {
+        self.rigid.is_none()
     }
 
     /// The panel's shapes, best axes first.
@@ -72,7 +97,7 @@ impl Panel {
                     let turn = std::f64::consts::FRAC_PI_2 * f64::from(q);
                     let o = Orientation { angle: if mirror { turn - self.axes } else { turn + self.axes }, mirror };
                     let linear = o.matrix();
-                    let (mask, anchor) = rasterise(&self.outline, linear, raster);
+                    let (mask, anchor) = rasterise(&self.outline, self.rigid.as_deref(), linear, raster);
                     let probe = Probe::new(&mask, raster.pitch);
                     shapes.push(Shape { cells: mask.count(), mask, probe, anchor, linear });
                 }
@@ -120,16 +145,22 @@ pub(crate) fn to_chart(linear: DMat2, anchor: DVec2, point: DVec2, along: DVec2)
 }
 
 /// The cells that an outline covers after `linear`, and what is subtracted from turned coordinates so that the mask's
-/// corner is the origin. A cell is set when the polygon, grown by the raster's margin, touches it.
-pub(crate) fn rasterise(outline: &Outline, linear: DMat2, raster: &Raster) -> (Mask, DVec2) {
+/// corner is the origin. A cell is set when the polygon, or the triangles in its stead, grown by the raster's margin, touches it.
+pub(crate) fn rasterise(
+    outline: &Outline,
+    triangles: Option<&[[DVec2; 3]]>,
+    linear: DMat2,
+    raster: &Raster,
+) -> (Mask, DVec2) {
     let cell = raster.cell;
     let turned: Vec<Vec<DVec2>> =
         outline.loops.iter().map(|l| l.iter().map(|p| linear * *p / cell).collect()).collect();
     let grow = raster.inflate / cell;
     let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-    for p in turned.iter().flatten() {
-        low = low.min(*p);
-        high = high.max(*p);
+    let inner = || triangles.into_iter().flatten().map(|t| t.map(|p| linear * p / cell));
+    for p in turned.iter().flatten().copied().chain(inner().flatten()) {
+        low = low.min(p);
+        high = high.max(p);
     }
     if !low.is_finite() {
         (low, high) = (DVec2::ZERO, DVec2::ZERO);
@@ -155,6 +186,12 @@ pub(crate) fn rasterise(outline: &Outline, linear: DMat2, raster: &Raster) -> (M
             }
             border(&mut mask, a, b, grow);
         }
+    }
+    for t in inner() {
+        mask.add_triangle(&t.map(|p| p - anchor));
+    }
+    if triangles.is_some() {
+        return (mask, anchor * cell);
     }
     for (row, xs) in rows.iter_mut().enumerate() {
         xs.sort_by(f64::total_cmp);

@@ -2,190 +2,126 @@
 
 use std::sync::Arc;
 
-use glam::DVec2;
 use rayon::prelude::*;
 
 use super::arrange::{Arrangement, Sheet};
-use super::lines::{OFFSETS, add_lengths, chords, offset, shifted};
+use super::candidates::{Candidate, Choice};
+use super::edges::Mesh;
+use super::field::Field;
+use super::lines::chords;
 use super::outline::Line;
-use super::panel::{Panel, sides};
-use super::void::void_boxes;
+use super::panel::Panel;
+use crate::atlas::HalfEdge;
+use crate::context::Context;
+use crate::error::Result;
+use crate::packing::Random;
 
-/// A cut that was made: chords of one line in a chart.
+/// A cut that was made.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Cut {
-    /// Number of the chart.
-    pub chart: u32,
-    /// In chart coordinates.
-    pub line: Line,
-    /// The parts of the line that were cut.
-    pub chords: Vec<(f64, f64)>,
+pub(crate) enum Cut {
+    /// Chords of one line in a chart.
+    Straight {
+        /// Number of the chart.
+        chart: u32,
+        /// In chart coordinates.
+        line: Line,
+        /// The parts of the line that were cut.
+        chords: Vec<(f64, f64)>,
+    },
+    /// Mesh edges, one half edge of each.
+    Edges(Vec<HalfEdge>),
 }
 
 /// Panels, their layout, and how they came about.
 #[derive(Debug, Clone)]
 pub(crate) struct State {
+    /// The panels.
     pub panels: Vec<Arc<Panel>>,
+    /// Their layout.
     pub arrangement: Arrangement,
     /// Total border length in texels.
     pub length: f64,
-    /// The same, new cuts weighted by importance.
+    /// The same, new cuts times their importance.
     pub weighted: f64,
     /// All cuts, in the order in which they were made.
-    pub cuts: Vec<Cut>,
+    pub cuts: Vec<Arc<Cut>>,
 }
 
-/// Lines to cut along, each with the panels that it may cut; the lines of one candidate are cut together.
+/// What stays the same during a search.
+pub(crate) struct Ground<'a> {
+    /// How panels are arranged.
+    pub sheet: Sheet,
+    /// How candidates are chosen.
+    pub choice: Choice,
+    /// Importance, where cuts are straight.
+    pub field: Option<Field>,
+    /// The mesh, where cuts follow its edges.
+    pub mesh: Option<Mesh<'a>>,
+    /// Longest side of the input's bounding box, in texels: the unit of boundary length.
+    pub unit: f64,
+}
+
+/// When a search ends, and what it prefers.
 #[derive(Debug, Clone)]
-pub(crate) struct Candidate {
-    /// By panel: its lines, in chart coordinates.
-    pub lines: Vec<(usize, Vec<Line>)>,
+pub(crate) struct Limits {
+    /// Longest border in texels.
+    pub length: f64,
+    /// Packing efficiency that is enough.
+    pub target: f64,
+    /// Most panels.
+    pub charts: usize,
+    /// Most work.
+    pub work: u64,
+    /// Exponent of the score.
+    pub alpha: f64,
+    /// Gain that counts as an improvement.
+    pub gain: f64,
+    /// Steps without improvement before the search ends.
+    pub patience: u32,
+    /// States carried on at each step.
+    pub beam: usize,
 }
 
-/// Parameters of the search that candidates need.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Choice {
-    /// Void boxes that offer candidates, globally and locally.
-    pub boxes: usize,
-    /// Fraction of a void box that a larger one may share.
-    pub shared: f64,
-    /// Lines shift within this fraction of the box's side.
-    pub shift: f64,
-    /// Smallest extent of a panel, in texels.
-    pub least: f64,
-    /// Whether each line and each panel is offered alone, too, which the paper does not do.
-    pub more: bool,
+/// What a search found.
+#[derive(Debug)]
+pub(crate) struct Found {
+    /// The best states within the limits, best first; the start among them when nothing is better.
+    pub states: Vec<State>,
+    /// Why the search ended.
+    pub stopped_by: &'static str,
+    /// Words of occupancy looked at.
+    pub work: u64,
+    /// Candidates executed and repacked.
+    pub tried: usize,
 }
+
+/// States that a search gives back at most.
+const FINALISTS: usize = 6;
 
 impl State {
-    /// The candidates of this state, global ones first (Box Cutter 3.1, 3.2).
-    pub fn candidates(&self, sheet: &Sheet, choice: &Choice) -> Vec<Candidate> {
-        let mut all = self.global(sheet, choice);
-        all.extend(self.local(sheet, choice));
-        all
-    }
-
-    fn global(&self, sheet: &Sheet, choice: &Choice) -> Vec<Candidate> {
-        let raster = &sheet.raster;
-        let layout = &self.arrangement.layout;
-        let taken = self.arrangement.taken(&self.panels, raster);
-        let boxes = void_boxes(&taken, layout.width, layout.height, choice.boxes, choice.shared);
-        let extent = [layout.height as f64 * raster.cell, layout.width as f64 * raster.cell];
-        let jobs: Vec<(usize, Vec<(DVec2, DVec2)>)> = boxes
-            .iter()
-            .flat_map(|b| sides(b, layout.width, layout.height).into_iter().enumerate())
-            .filter(|(_, lines)| !lines.is_empty())
-            .collect();
-        jobs.into_par_iter()
-            .flat_map_iter(|(direction, lines)| {
-                let reach = choice.shift * extent[direction];
-                // Of each line, its place in each panel.
-                let placed: Vec<Vec<(usize, Line)>> = lines
-                    .iter()
-                    .map(|&(point, along)| {
-                        let own = |i: usize| {
-                            let line = self.arrangement.line(i, &self.panels, raster, point, along)?;
-                            Some((i, line))
-                        };
-                        self.best_shift((0..self.panels.len()).filter_map(own).collect(), reach, choice)
-                    })
-                    .collect();
-                offers(&placed, choice.more)
-            })
-            .collect()
-    }
-
-    fn local(&self, sheet: &Sheet, choice: &Choice) -> Vec<Candidate> {
-        let raster = &sheet.raster;
-        let own: Vec<Vec<(f64, usize, usize)>> = self
-            .panels
-            .par_iter()
-            .enumerate()
-            .map(|(i, p)| {
-                let voids = if p.cuttable { p.voids(raster, choice.boxes, choice.shared) } else { &[] };
-                voids.iter().enumerate().map(|(n, v)| (v.area, i, n)).collect()
-            })
-            .collect();
-        let mut boxes: Vec<(f64, usize, usize)> = own.into_iter().flatten().collect();
-        boxes.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-        boxes.truncate(choice.boxes);
-        boxes
-            .into_par_iter()
-            .flat_map_iter(|(_, i, n)| {
-                let void = &self.panels[i].voids(raster, choice.boxes, choice.shared)[n];
-                let mut offered = Vec::new();
-                for (direction, lines) in void.sides.iter().enumerate() {
-                    let reach = choice.shift * void.across[direction];
-                    let placed: Vec<_> =
-                        lines.iter().map(|line| self.best_shift(vec![(i, *line)], reach, choice)).collect();
-                    offered.extend(offers(&placed, choice.more));
-                }
-                offered
-            })
-            .collect()
-    }
-
-    /// The line, given by its place in each panel, shifted to where its cuts are shortest, of those that cut anything; with
-    /// the panels that are cut there.
-    fn best_shift(&self, mut line: Vec<(usize, Line)>, reach: f64, choice: &Choice) -> Vec<(usize, Line)> {
-        line.retain(|(i, _)| self.panels[*i].cuttable);
-        let mut lengths = [0.0; OFFSETS];
-        for (i, l) in &line {
-            add_lengths(&self.panels[*i].outline, l, reach, &mut lengths);
-        }
-        let mut order: Vec<usize> = (0..OFFSETS).filter(|&k| lengths[k] > 0.0).collect();
-        order.sort_by(|&a, &b| {
-            let off = |k: usize| offset(k, reach).abs();
-            lengths[a].total_cmp(&lengths[b]).then(off(a).total_cmp(&off(b))).then(a.cmp(&b))
-        });
-        for k in order {
-            let by = offset(k, reach);
-            let cut: Vec<(usize, Line)> = line
-                .iter()
-                .map(|(i, l)| (*i, shifted(l, by)))
-                .filter(|(i, l)| !chords(&self.panels[*i].outline, l, choice.least).is_empty())
-                .collect();
-            if !cut.is_empty() {
-                return cut;
-            }
-        }
-        Vec::new()
-    }
-
     /// Cuts the panels; `None` when nothing is cut. The arrangement is still the old one's.
-    pub fn execute(&self, candidate: &Candidate, choice: &Choice, sheet: &Sheet) -> Option<State> {
+    pub fn execute(&self, candidate: &Candidate, ground: &Ground<'_>) -> Option<State> {
         let mut next = self.clone();
-        let mut added = Vec::new();
         let mut gone = vec![false; self.panels.len()];
+        let mut added = Vec::new();
         for (i, lines) in &candidate.lines {
-            let panel = &self.panels[*i];
-            let mut parts = vec![panel.outline.clone()];
-            let mut cuts = Vec::new();
+            let mut parts = vec![self.panels[*i].clone()];
             for line in lines {
                 let mut after = Vec::new();
                 for part in parts {
-                    let own = chords(&part, line, choice.least);
-                    if own.is_empty() {
-                        after.push(part);
-                        continue;
+                    match next.cut(&part, line, ground) {
+                        Some(cut) => {
+                            gone[*i] = true;
+                            after.extend(cut.into_iter().map(Arc::new));
+                        }
+                        None => after.push(part),
                     }
-                    let length: f64 = own.iter().map(|c| c.length()).sum();
-                    next.length += 2.0 * length;
-                    next.weighted += 2.0 * length;
-                    after.extend(part.split(line, &own));
-                    cuts.push(Cut { chart: panel.chart, line: *line, chords: own.iter().map(|c| (c.from, c.to)).collect() });
                 }
                 parts = after;
             }
-            if cuts.is_empty() {
-                continue;
+            if gone[*i] {
+                added.extend(parts);
             }
-            gone[*i] = true;
-            next.cuts.extend(cuts);
-            added.extend(parts.into_iter().map(|o| {
-                let area = o.area();
-                Arc::new(Panel::new(panel.chart, o, area, true, sheet.raster.rotation))
-            }));
         }
         if added.is_empty() {
             return None;
@@ -196,33 +132,142 @@ impl State {
         Some(next)
     }
 
-    /// The paper's score: s = p / b^alpha (section 3.2), b relative to `unit` texels.
-    pub fn score(&self, unit: f64, alpha: f64) -> f64 {
+    /// Cuts one panel along a line and books the cut; `None` when there is nothing to cut.
+    fn cut(&mut self, panel: &Panel, line: &Line, ground: &Ground<'_>) -> Option<Vec<Panel>> {
+        let own = chords(&panel.outline, line, ground.choice.least);
+        if own.is_empty() {
+            return None;
+        }
+        let rotation = ground.sheet.raster.rotation;
+        if let (Some(mesh), Some(patch)) = (&ground.mesh, &panel.patch) {
+            let cut = mesh.cut(&panel.outline, patch, line, &own, ground.choice.least)?;
+            self.length += 2.0 * cut.length;
+            self.weighted += 2.0 * cut.weighted;
+            self.cuts.push(Arc::new(Cut::Edges(cut.cuts)));
+            let panel = |(outline, patch)| Panel::new(panel.chart, outline, Some(patch), rotation);
+            return Some(cut.parts.into_iter().map(panel).collect());
+        }
+        for c in &own {
+            self.length += 2.0 * c.length();
+            let weighted = ground.field.as_ref().map_or(c.length(), |f| f.length(panel.chart, line, c.from, c.to));
+            self.weighted += 2.0 * weighted;
+        }
+        let parts = panel.outline.split(line, &own);
+        let chords = own.iter().map(|c| (c.from, c.to)).collect();
+        self.cuts.push(Arc::new(Cut::Straight { chart: panel.chart, line: *line, chords }));
+        Some(parts.into_iter().map(|o| Panel::new(panel.chart, o, None, rotation)).collect())
+    }
+
+    /// The score s = p / b^alpha, b relative to the input's box (section 3.2).
+    fn score(&self, unit: f64, alpha: f64) -> f64 {
         self.arrangement.efficiency / (self.weighted / unit).powf(alpha)
     }
 }
 
-/// The lines of one direction of a box as candidates: together, and where more are wanted each alone, and each in each panel alone.
-fn offers(lines: &[Vec<(usize, Line)>], more: bool) -> Vec<Candidate> {
-    let mut together: Vec<(usize, Vec<Line>)> = Vec::new();
-    for (i, line) in lines.iter().flatten() {
-        match together.iter_mut().find(|(j, _)| j == i) {
-            Some((_, own)) => own.push(*line),
-            None => together.push((*i, vec![*line])),
+/// Searches from `start`. With a beam of one this is the paper's loop: of all candidates, each executed and repacked, the one with the
+/// highest score is kept, until a limit is met. A wider beam carries on the best few states, with equal sets of cuts once.
+///
+/// # Errors
+/// `canceled`.
+pub(crate) fn search(start: State, ground: &Ground<'_>, limits: &Limits, context: &Context) -> Result<Found> {
+    let unit = ground.unit;
+    let first = start.length;
+    let mut found = Found { states: vec![start.clone()], stopped_by: "no_improvement", work: 0, tried: 0 };
+    let mut front = vec![start];
+    let mut failures = 0;
+    let mut random = Random::new(context.seed);
+    loop {
+        context.check()?;
+        if found.states[0].arrangement.efficiency >= limits.target {
+            found.stopped_by = "packing_efficiency";
+            break;
+        }
+        if found.work >= limits.work {
+            found.stopped_by = "work_budget";
+            break;
+        }
+        if context.out_of_time() {
+            found.stopped_by = "time_limit";
+            break;
+        }
+        let done = front.first().map_or(0.0, |s| (s.length - first) / (limits.length - first).max(1e-9));
+        context.step(0.1 + 0.6 * done.min(1.0), &format!("cutting: {} charts", front[0].panels.len()))?;
+        let Some(next) = step(&front, ground, limits, &mut random, &mut found, context)? else { break };
+        let before = found.states[0].arrangement.efficiency;
+        for state in &next {
+            keep(&mut found.states, state);
+        }
+        failures = if found.states[0].arrangement.efficiency > before + limits.gain { 0 } else { failures + 1 };
+        if failures >= limits.patience {
+            found.stopped_by = "no_improvement";
+            break;
+        }
+        front = next;
+        front.sort_by(|a, b| b.score(unit, limits.alpha).total_cmp(&a.score(unit, limits.alpha)));
+        front.truncate(limits.beam);
+    }
+    Ok(found)
+}
+
+/// All candidates of all states, executed and arranged; `None` when there are none within the limits.
+fn step(
+    front: &[State],
+    ground: &Ground<'_>,
+    limits: &Limits,
+    random: &mut Random,
+    found: &mut Found,
+    context: &Context,
+) -> Result<Option<Vec<State>>> {
+    let mut jobs: Vec<(usize, Candidate)> = Vec::new();
+    for (i, state) in front.iter().enumerate() {
+        jobs.extend(state.candidates(ground, random).into_iter().map(|c| (i, c)));
+    }
+    context.check()?;
+    let executed: Vec<Option<State>> = jobs.par_iter().map(|(i, c)| front[*i].execute(c, ground)).collect();
+    let mut cut: Vec<State> = executed.into_iter().flatten().collect();
+    let any = !cut.is_empty();
+    let within = cut.len();
+    cut.retain(|s| s.length <= limits.length);
+    let too_long = within > cut.len();
+    cut.retain(|s| s.panels.len() <= limits.charts);
+    if cut.is_empty() {
+        found.stopped_by = match (any, too_long) {
+            (false, _) => "no_improvement",
+            (true, true) => "boundary_length",
+            (true, false) => "charts",
+        };
+        return Ok(None);
+    }
+    // The same cuts in another order have the same length.
+    cut.sort_by(|a, b| a.length.total_cmp(&b.length).then(a.panels.len().cmp(&b.panels.len())));
+    cut.dedup_by(|a, b| (a.length - b.length).abs() <= 1e-9 * b.length && a.panels.len() == b.panels.len());
+    let arranged: Vec<_> = cut
+        .par_iter()
+        .map(|s| {
+            context.check()?;
+            Ok(ground.sheet.arrange(&s.panels))
+        })
+        .collect::<Result<_>>()?;
+    found.tried += cut.len();
+    let mut next = Vec::with_capacity(cut.len());
+    for (mut state, (arrangement, work)) in cut.into_iter().zip(arranged) {
+        found.work += work;
+        if let Some(arrangement) = arrangement {
+            state.arrangement = arrangement;
+            next.push(state);
         }
     }
-    let mut all = Vec::new();
-    if more {
-        let single = |line: &Vec<(usize, Line)>| Candidate { lines: line.iter().map(|(i, l)| (*i, vec![*l])).collect() };
-        if lines.iter().filter(|l| !l.is_empty()).count() > 1 {
-            all.extend(lines.iter().filter(|l| !l.is_empty()).map(single));
-        }
-        for line in lines.iter().filter(|l| l.len() > 1) {
-            all.extend(line.iter().map(|(i, l)| Candidate { lines: vec![(*i, vec![*l])] }));
-        }
+    Ok((!next.is_empty()).then_some(next))
+}
+
+/// Keeps the best states, by packing efficiency, then by length.
+fn keep(best: &mut Vec<State>, state: &State) {
+    let worse = |a: &State, b: &State| {
+        b.arrangement.efficiency.total_cmp(&a.arrangement.efficiency).then(a.length.total_cmp(&b.length))
+    };
+    let place = best.partition_point(|b| worse(b, state).is_le());
+    if place < FINALISTS {
+        best.insert(place, state.clone());
+        best.truncate(FINALISTS);
     }
-    if !together.is_empty() {
-        all.push(Candidate { lines: together });
-    }
-    all
 }

@@ -1,0 +1,246 @@
+//! Cuts along mesh edges: the shortest path near a cut line, so that no triangle is split (Box Cutter, section 3.2, Fig. 10 and 11).
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::sync::Arc;
+
+use glam::DVec2;
+
+use super::outline::{Chord, Line, Outline, signed_area};
+use crate::atlas::{Atlas, FaceId, HalfEdge, NONE, Topology, UvId};
+
+/// What cutting along edges needs to know of the mesh.
+pub(crate) struct Mesh<'a> {
+    atlas: &'a Atlas,
+    topology: &'a Topology,
+    /// Importance at the corners of each face.
+    weights: Option<&'a [[f64; 3]]>,
+    /// Corners (3 * face + k) by UV vertex: those of vertex u are `corners[start[u]..start[u + 1]]`.
+    start: Vec<u32>,
+    corners: Vec<u32>,
+}
+
+/// The triangles of a panel, and the edges inside it that are cut already.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Patch {
+    /// Ascending.
+    pub faces: Arc<Vec<FaceId>>,
+    /// Both half edges of each.
+    pub slits: Arc<BTreeSet<HalfEdge>>,
+}
+
+/// What a cut along edges makes of a panel.
+pub(crate) struct Parts {
+    /// Outlines and patches of the parts.
+    pub parts: Vec<(Outline, Patch)>,
+    /// The edges cut, one half edge each.
+    pub cuts: Vec<HalfEdge>,
+    /// Their length in texels, each once.
+    pub length: f64,
+    /// The same, times importance.
+    pub weighted: f64,
+}
+
+/// A path longer than the chord by more than this factor is no cut along the line any more.
+const DETOUR: f64 = 2.5;
+
+impl<'a> Mesh<'a> {
+    /// Prepares an Atlas.
+    pub fn new(atlas: &'a Atlas, topology: &'a Topology, weights: Option<&'a [[f64; 3]]>) -> Self {
+        let mut start = vec![0u32; atlas.uv.len() + 1];
+        for u in atlas.corners.iter().flatten() {
+            start[u.index() + 1] += 1;
+        }
+        for i in 1..start.len() {
+            start[i] += start[i - 1];
+        }
+        let mut fill = start.clone();
+        let mut corners = vec![0; 3 * atlas.face_count()];
+        for (c, u) in atlas.corners.iter().flatten().enumerate() {
+            corners[fill[u.index()] as usize] = c as u32;
+            fill[u.index()] += 1;
+        }
+        Mesh { atlas, topology, weights, start, corners }
+    }
+
+    fn ends(&self, h: HalfEdge) -> [UvId; 2] {
+        let c = self.atlas.corners[h as usize / 3];
+        [c[h as usize % 3], c[(h as usize + 1) % 3]]
+    }
+
+    fn at(&self, u: UvId) -> DVec2 {
+        self.atlas.uv[u.index()]
+    }
+
+    /// Length of an edge times the mean importance of its ends (section 3.2.2).
+    fn weighted(&self, h: HalfEdge) -> f64 {
+        let [a, b] = self.ends(h);
+        let length = self.at(a).distance(self.at(b));
+        let (f, k) = (h as usize / 3, h as usize % 3);
+        self.weights.map_or(length, |w| length * (w[f][k] + w[f][(k + 1) % 3]) * 0.5)
+    }
+
+    /// The half edge across an edge that is interior to the patch.
+    fn across(&self, patch: &Patch, h: HalfEdge) -> Option<HalfEdge> {
+        let twin = self.topology.uv_twin[h as usize];
+        let inside = twin != NONE && !patch.slits.contains(&h) && patch.faces.binary_search(&FaceId(twin / 3)).is_ok();
+        inside.then_some(twin)
+    }
+
+    /// Cuts the patch along paths that follow the chords; `None` when no path was found or a part is smaller than `least` across the line.
+    pub fn cut(&self, outline: &Outline, patch: &Patch, line: &Line, chords: &[Chord], least: f64) -> Option<Parts> {
+        let rim = self.rim(patch);
+        let mut cuts: Vec<HalfEdge> = Vec::new();
+        for chord in chords {
+            // Of the two edges that the chord ends at, the nearer vertex first.
+            let edges = chord.edges(outline);
+            let nearer = |k: usize, t: f64| {
+                let ((a, b), p) = (edges[k], line.at(t));
+                if a.distance(p) <= b.distance(p) { [a, b] } else { [b, a] }
+            };
+            let ends = [nearer(0, chord.from), nearer(1, chord.to)];
+            let vertex = |p: DVec2| rim.iter().find(|u| self.at(**u) == p).copied();
+            let tries = [(0, 0), (1, 0), (0, 1), (1, 1)];
+            let path = tries.iter().find_map(|&(i, j)| {
+                let (from, to) = (vertex(ends[0][i])?, vertex(ends[1][j])?);
+                self.path(patch, from, to, DETOUR * chord.length().max(least))
+            });
+            cuts.extend(path?);
+        }
+        let mut slits = (*patch.slits).clone();
+        for &h in &cuts {
+            slits.insert(h);
+            slits.insert(self.topology.uv_twin[h as usize]);
+        }
+        let parts = self.parts(patch, slits);
+        let extent = |o: &Outline| o.loops.iter().flatten().map(|v| line.side(*v).abs()).fold(0.0, f64::max);
+        if parts.len() > 1 && parts.iter().any(|(o, _)| extent(o) < least) {
+            return None;
+        }
+        let length = cuts.iter().map(|&h| self.at(self.ends(h)[0]).distance(self.at(self.ends(h)[1]))).sum();
+        let weighted = cuts.iter().map(|&h| self.weighted(h)).sum();
+        Some(Parts { parts, cuts, length, weighted })
+    }
+
+    /// UV vertices on the patch's border, ascending.
+    fn rim(&self, patch: &Patch) -> Vec<UvId> {
+        let edges = patch.faces.iter().flat_map(|f| (0..3).map(|k| 3 * f.0 + k));
+        let mut rim: Vec<UvId> =
+            edges.filter(|&h| self.across(patch, h).is_none()).flat_map(|h| self.ends(h)).collect();
+        rim.sort_unstable();
+        rim.dedup();
+        rim
+    }
+
+    /// The shortest path over interior edges (A*), at most `limit` long, as half edges.
+    fn path(&self, patch: &Patch, from: UvId, to: UvId, limit: f64) -> Option<Vec<HalfEdge>> {
+        // Lengths are compared as bits: they are not negative.
+        let mut best: BTreeMap<UvId, (f64, HalfEdge)> = BTreeMap::from([(from, (0.0, NONE))]);
+        let mut open = BinaryHeap::from([Reverse((0u64, from))]);
+        let mut done: BTreeSet<UvId> = BTreeSet::new();
+        let goal = self.at(to);
+        while let Some(Reverse((_, u))) = open.pop() {
+            if !done.insert(u) {
+                continue;
+            }
+            if u == to {
+                break;
+            }
+            let so_far = best[&u].0;
+            for &c in &self.corners[self.start[u.index()] as usize..self.start[u.index() + 1] as usize] {
+                if patch.faces.binary_search(&FaceId(c / 3)).is_err() {
+                    continue;
+                }
+                // The edge that leaves this corner and the one that arrives.
+                for h in [c, c / 3 * 3 + (c + 2) % 3] {
+                    let [a, b] = self.ends(h);
+                    let v = if a == u { b } else { a };
+                    if v == u || done.contains(&v) || self.across(patch, h).is_none() {
+                        continue;
+                    }
+                    let length = so_far + self.weighted(h);
+                    if self.weights.is_none() && length + self.at(v).distance(goal) > limit {
+                        continue;
+                    }
+                    if best.get(&v).is_none_or(|(l, _)| length < *l) {
+                        best.insert(v, (length, h));
+                        let ahead = if self.weights.is_none() { self.at(v).distance(goal) } else { 0.0 };
+                        open.push(Reverse(((length + ahead).to_bits(), v)));
+                    }
+                }
+            }
+        }
+        let mut path = Vec::new();
+        let mut at = to;
+        while at != from {
+            let (_, h) = *best.get(&at).filter(|_| done.contains(&to))?;
+            path.push(h);
+            let [a, b] = self.ends(h);
+            at = if b == at { a } else { b };
+        }
+        Some(path)
+    }
+
+    /// The parts of a patch that is cut open along slits.
+    pub fn parts(&self, patch: &Patch, slits: BTreeSet<HalfEdge>) -> Vec<(Outline, Patch)> {
+        let whole = Patch { faces: patch.faces.clone(), slits: Arc::new(slits) };
+        let index = |f: u32| whole.faces.binary_search(&FaceId(f)).ok();
+        let mut label = vec![u32::MAX; whole.faces.len()];
+        let mut lots: Vec<Vec<FaceId>> = Vec::new();
+        for seed in 0..label.len() {
+            if label[seed] != u32::MAX {
+                continue;
+            }
+            let mut stack = vec![seed];
+            label[seed] = lots.len() as u32;
+            let mut own = Vec::new();
+            while let Some(i) = stack.pop() {
+                own.push(whole.faces[i]);
+                for k in 0..3 {
+                    let Some(j) = self.across(&whole, 3 * whole.faces[i].0 + k).and_then(|t| index(t / 3)) else { continue };
+                    if label[j] == u32::MAX {
+                        label[j] = lots.len() as u32;
+                        stack.push(j);
+                    }
+                }
+            }
+            own.sort_unstable();
+            lots.push(own);
+        }
+        lots.into_iter()
+            .map(|faces| {
+                let own = |h: &HalfEdge| faces.binary_search(&FaceId(h / 3)).is_ok();
+                let slits = whole.slits.iter().copied().filter(own).collect();
+                let patch = Patch { faces: Arc::new(faces), slits: Arc::new(slits) };
+                (self.outline(&patch), patch)
+            })
+            .collect()
+    }
+
+    /// The border of a patch, as loops.
+    fn outline(&self, patch: &Patch) -> Outline {
+        let mut seen = BTreeSet::new();
+        let mut loops = Vec::new();
+        for start in patch.faces.iter().flat_map(|f| (0..3).map(|k| 3 * f.0 + k)) {
+            let mut own = Vec::new();
+            let mut h = start;
+            while self.across(patch, h).is_none() && seen.insert(h) {
+                own.push(self.at(self.ends(h)[0]));
+                h = h / 3 * 3 + (h + 1) % 3;
+                // Around the end vertex to the next border edge; a fan has no more faces than the patch.
+                for _ in 0..3 * patch.faces.len() {
+                    let Some(twin) = self.across(patch, h) else { break };
+                    h = twin / 3 * 3 + (twin + 1) % 3;
+                }
+            }
+            if own.len() > 1 {
+                loops.push(own);
+            }
+        }
+        let mut outline = Outline { loops };
+        if outline.loops.iter().map(|l| signed_area(l)).sum::<f64>() < 0.0 {
+            outline.loops.iter_mut().for_each(|l| l.reverse());
+        }
+        outline
+    }
+}
