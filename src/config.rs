@@ -135,10 +135,12 @@ pub struct OptionFlags {
 /// `intarsia refine`.
 #[derive(Debug, Clone, Args)]
 pub struct Refine {
-    /// Models (.glb, .gltf, .obj, .zip); other files are taken as files that they name.
+    /// Models (.glb, .gltf, .obj, .zip), which share one atlas where there are several; other files are taken as files that
+    /// they name.
     #[arg(required = true)]
     pub input: Vec<PathBuf>,
-    /// The refined model: .glb, or .gltf with its files beside it.
+    /// The refined model: .glb, or .gltf with its files beside it. Several become NAME-0, NAME-1, … in the order of the
+    /// input.
     #[arg(short, long)]
     pub output: PathBuf,
     /// What to do with it.
@@ -164,7 +166,7 @@ pub struct Refine {
 /// `intarsia inspect`.
 #[derive(Debug, Clone, Args)]
 pub struct Inspect {
-    /// The model (.glb, .gltf, .obj, .zip); further files are taken as files that it names.
+    /// Models (.glb, .gltf, .obj, .zip), each measured as it is; other files are taken as files that they name.
     #[arg(required = true)]
     pub input: Vec<PathBuf>,
     /// Print the figures as JSON.

@@ -48,6 +48,7 @@ struct State {
     weights: Vec<(String, f64)>,
     timings: Vec<Timing>,
     warnings: Vec<Warning>,
+    subject: Option<String>,
     started: Instant,
 }
 
@@ -74,6 +75,7 @@ impl Context {
                 weights: Vec::new(),
                 timings: Vec::new(),
                 warnings: Vec::new(),
+                subject: None,
                 started: Instant::now(),
             }),
         }
@@ -158,10 +160,18 @@ impl Context {
         self.deadline.is_some_and(|d| Instant::now() >= d)
     }
 
+    /// Says what the warnings that follow are about, where a job has several models: their messages begin with it.
+    pub fn speak_of(&self, subject: Option<&str>) {
+        self.lock().subject = subject.map(str::to_owned);
+    }
+
     /// Records a warning.
-    pub fn warn(&self, warning: Warning) {
-        tracing::debug!(code = %warning.code, message = %warning.message, "warning");
+    pub fn warn(&self, mut warning: Warning) {
         let mut state = self.lock();
+        if let Some(subject) = &state.subject {
+            warning.message = format!("{subject}: {}", warning.message);
+        }
+        tracing::debug!(code = %warning.code, message = %warning.message, "warning");
         if !state.warnings.contains(&warning) {
             self.listener.warning(&warning);
             state.warnings.push(warning);

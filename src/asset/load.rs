@@ -55,6 +55,15 @@ pub fn load(files: &[File], main: Option<&str>, limits: &Limits) -> Result<(Docu
     Ok((document, warnings))
 }
 
+/// A file of an upload, by its path or, where only one has it, its name; files in archives are found too.
+///
+/// # Errors
+/// `too_large` beyond `limits`, `invalid_model` for a broken archive.
+pub fn side_file(files: &[File], name: &str, limits: &Limits) -> Result<Option<Vec<u8>>> {
+    let upload = unpack(files, limits)?;
+    Ok(upload.find(&clean_path(name, 0)).map(|entry| entry.bytes.to_vec()))
+}
+
 fn unpack<'a>(files: &'a [File], limits: &Limits) -> Result<Upload<'a>> {
     let too_large = || {
         let message = format!("the input has more than {} bytes", limits.max_input_bytes);

@@ -29,11 +29,12 @@ pub use accessor::{
 pub use accessor_type::{ComponentType, Kind};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
 pub use limits::Limits;
-pub use load::load;
+pub use load::{load, side_file};
+pub use save::to_gltf;
 pub use side_files::read_paths;
 
 #[cfg(test)]
-mod fixture;
+pub(crate) mod fixture;
 mod geometry;
 mod home;
 mod json;
@@ -43,6 +44,7 @@ mod sets;
 mod write;
 
 pub use read::read;
+pub(crate) use sets::grid;
 pub use sets::{is_small, mark_uniform, small_slot_warning};
 pub use write::{BakedImage, Refined, read_back, write};
 

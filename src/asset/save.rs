@@ -52,22 +52,34 @@ impl Document {
     /// # Errors
     /// `invalid_model` when the document is not consistent.
     pub fn to_gltf(&self) -> Result<Vec<File>> {
-        let mut draft = Draft::new(self)?;
-        let mut names = Names::default();
-        let mut sides = Vec::new();
-        for (index, bytes) in self.images.iter().enumerate() {
+        to_gltf(&[("model".to_owned(), self)])
+    }
+}
+
+/// Documents as `<name>.gltf`, `<name>.bin` and one file for each image at hand, all side by side: images of equal name and
+/// contents are one file.
+///
+/// # Errors
+/// `invalid_model` when a document is not consistent.
+pub fn to_gltf(documents: &[(String, &Document)]) -> Result<Vec<File>> {
+    let mut names = Names::beside(documents.iter().map(|(name, _)| name.clone()));
+    let (mut files, mut sides) = (Vec::new(), Vec::new());
+    for (name, document) in documents {
+        let mut draft = Draft::new(document)?;
+        for (index, bytes) in document.images.iter().enumerate() {
             if let Some(bytes) = bytes {
                 draft.put_aside(index, bytes, &mut names, &mut sides);
             }
         }
-        let bin = draft.finish(Some("model.bin"))?;
-        let mut files = vec![File { path: "model.gltf".to_owned(), bytes: to_json(&draft.json)? }];
+        let buffer = format!("{name}.bin");
+        let bin = draft.finish(Some(&buffer))?;
+        files.push(File { path: format!("{name}.gltf"), bytes: to_json(&draft.json)? });
         if !bin.is_empty() {
-            files.push(File { path: "model.bin".to_owned(), bytes: bin });
+            files.push(File { path: buffer, bytes: bin });
         }
-        files.append(&mut sides);
-        Ok(files)
     }
+    files.append(&mut sides);
+    Ok(files)
 }
 
 fn to_json(json: &Value) -> Result<Vec<u8>> {
@@ -122,11 +134,11 @@ impl<'a> Draft<'a> {
     }
 
     /// Makes an image a file of its own.
-    fn put_aside(&mut self, index: usize, bytes: &'a [u8], names: &mut Names, sides: &mut Vec<File>) {
+    fn put_aside(&mut self, index: usize, bytes: &'a [u8], names: &mut Names<'a>, sides: &mut Vec<File>) {
         let Some(image) = self.image(index) else { return };
         let uploaded = image.get("uri").and_then(Value::as_str).filter(|u| !uri::is_data(u));
         let wanted = uploaded.and_then(|u| uri::resolve("", u).ok()).map(|path| plain(&path));
-        let (path, fresh) = names.find(wanted, index, bytes, self.document);
+        let (path, fresh) = names.find(wanted, (index, self.document.images.len()), bytes);
         let Some(image) = self.image(index) else { return };
         image.shift_remove("bufferView");
         // An untouched file keeps its URI as it is spelt.

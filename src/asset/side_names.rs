@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use super::Document;
 use super::uri;
 
 /// The media type that the first bytes of an image tell.
@@ -39,20 +38,25 @@ pub(crate) fn by_name(name: &str) -> Option<&'static str> {
 }
 
 /// The names of side files, each given once whichever case a file system sees.
-#[derive(Default)]
-pub(crate) struct Names {
-    /// Image by name in lower case.
-    taken: BTreeMap<String, usize>,
+pub(crate) struct Names<'a> {
+    /// Contents by name in lower case; none for the documents themselves and their buffers.
+    taken: BTreeMap<String, Option<&'a [u8]>>,
 }
 
-impl Names {
-    /// A name for an image's file, and whether the file is yet to be written: images of one file share it.
+impl<'a> Names<'a> {
+    /// Names beside documents that take `stems` with `.gltf` and `.bin`.
+    pub(crate) fn beside(stems: impl Iterator<Item = String>) -> Self {
+        let own = stems.flat_map(|s| [format!("{s}.gltf"), format!("{s}.bin")]);
+        Names { taken: own.map(|name| (name.to_lowercase(), None)).collect() }
+    }
+
+    /// A name for an image's file, and whether the file is yet to be written: images of one file share it, in whichever
+    /// document they are. `index` of `count` images makes a name where none is wanted, or another has it.
     pub(crate) fn find(
         &mut self,
         wanted: Option<String>,
-        index: usize,
-        bytes: &[u8],
-        document: &Document,
+        (index, count): (usize, usize),
+        bytes: &'a [u8],
     ) -> (String, bool) {
         let extension = match media_type(bytes) {
             Some("image/png") => "png",
@@ -71,17 +75,15 @@ impl Names {
         loop {
             let key = path.to_lowercase();
             match self.taken.get(&key) {
-                Some(other) if document.images.get(*other).and_then(Option::as_deref) == Some(bytes) => {
-                    return (path, false);
-                }
-                None if !matches!(key.as_str(), "model.gltf" | "model.bin") => {
-                    self.taken.insert(key, index);
+                Some(Some(other)) if *other == bytes => return (path, false),
+                Some(_) => {}
+                None => {
+                    self.taken.insert(key, Some(bytes));
                     return (path, true);
                 }
-                _ => {}
             }
             path = format!("{stem}-{}.{ending}", index + round).trim_end_matches('.').to_owned();
-            round += document.images.len().max(1);
+            round += count.max(1);
         }
     }
 }

@@ -8,7 +8,7 @@ use super::{Atlas, ChartId, Charts};
 use crate::refine::options::OverlapMode;
 
 /// Which charts are placed together.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Clusters {
     /// Cluster by [`ChartId`]. Clusters are numbered by their smallest chart.
     pub of_chart: Vec<u32>,

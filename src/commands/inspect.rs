@@ -21,7 +21,7 @@ pub fn run(arguments: &Inspect) -> Result<()> {
         entry.min = bound.min.or(entry.min);
         entry.max = bound.max.or(entry.max);
     }
-    let input = super::read_input(&arguments.input)?;
+    let input = super::read_input(&arguments.input, &options)?;
     let context = Context::new(Arc::new(Teller::Quiet), Arc::new(AtomicBool::new(false)), options.seed);
     let pool = intarsia::jobs::pool(arguments.threads)?;
     let (report, failures) = pool.install(|| inspect_and_judge(&input, &options, &context))?;

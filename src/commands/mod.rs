@@ -12,17 +12,18 @@ use std::fs::File;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use intarsia::asset::read_paths;
+use intarsia::asset::{self, read_paths};
 use intarsia::config::OptionFlags;
 use intarsia::error::{Code, Failure, Result};
 use intarsia::metrics::Unmet;
-use intarsia::refine::options::{Options, Output};
+use intarsia::refine::options::{ImportanceSource, Options, Output};
 use intarsia::refine::parse;
 use intarsia::refine::run::Input;
 use serde_json::{Map, Value};
 
-/// Reads the models on the command line, each with the files that it names; inputs that are no model go with all of them.
-fn read_input(paths: &[PathBuf]) -> Result<Input> {
+/// Reads the models on the command line, each with the files that it names; inputs that are no model go with all of
+/// them, and so does the picture that `importance` names by its path.
+fn read_input(paths: &[PathBuf], options: &Options) -> Result<Input> {
     let is_model = |path: &&PathBuf| {
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         matches!(extension.as_str(), "glb" | "gltf" | "obj" | "zip")
@@ -41,7 +42,15 @@ fn read_input(paths: &[PathBuf]) -> Result<Input> {
         return Err(Failure::new(Code::InvalidRequest, "no input is a model (.glb, .gltf, .obj, .zip)"));
     }
     let read = |model: &PathBuf| read_paths(&[std::slice::from_ref(model), side.as_slice()].concat());
-    let models = models.into_iter().map(read).collect::<Result<_>>()?;
+    let mut models: Vec<Vec<asset::File>> = models.into_iter().map(read).collect::<Result<_>>()?;
+    if let Some(ImportanceSource::Texture(name)) = &options.importance
+        && Path::new(name).is_file()
+    {
+        for files in models.iter_mut().filter(|files| files.iter().all(|f| f.path != *name)) {
+            let bytes = std::fs::read(name).map_err(|e| Failure::new(Code::MissingFile, format!("{name}: {e}")))?;
+            files.push(asset::File { path: name.clone(), bytes });
+        }
+    }
     Ok(Input { models, ..Input::default() })
 }
 

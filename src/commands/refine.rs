@@ -23,7 +23,7 @@ const SUMMARY: [&str; 5] = ["charts", "packing_efficiency", "utilisation", "text
 pub fn run(arguments: &Refine) -> Result<()> {
     let output = container(&arguments.output)?;
     let options = super::read_options(&arguments.options, Some(output))?;
-    let input = Input { extras: arguments.pictures.is_some(), ..super::read_input(&arguments.input)? };
+    let input = Input { extras: arguments.pictures.is_some(), ..super::read_input(&arguments.input, &options)? };
     let limit = options.time_limit_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
     let teller = Arc::new(Teller::new(arguments.quiet));
     let context = Context::new(teller.clone(), Arc::new(AtomicBool::new(false)), options.seed).with_time_limit(limit);
@@ -62,7 +62,7 @@ fn container(path: &Path) -> Result<Output> {
     }
 }
 
-/// Writes the models under the name of the output, the files that a .gltf names beside it. These go first, so that a
+/// Writes the models under the name of the output, several as NAME-0, NAME-1, … in the order of the input, the files that a .gltf names beside it. These go first, so that a
 /// model is never there without them.
 fn write_models(arguments: &Refine, input: &Input, outcome: &Outcome) -> Result<Vec<(PathBuf, usize)>> {
     let output = &arguments.output;
@@ -92,7 +92,7 @@ fn write_models(arguments: &Refine, input: &Input, outcome: &Outcome) -> Result<
             output.clone()
         } else {
             let stem = output.file_stem().unwrap_or_default().to_string_lossy();
-            output.with_file_name(format!("{stem}-{}.{}", i + 1, extension.to_string_lossy()))
+            output.with_file_name(format!("{stem}-{i}.{}", extension.to_string_lossy()))
         };
         plan.push((path, model));
     }

@@ -12,15 +12,28 @@ use crate::atlas::{Atlas, Charts, Clusters, FaceId};
 const WIDEST: u32 = 64;
 
 /// Free texels between the closest touched texels of two clusters on one page (Chebyshev distance less one; 0 where they
-/// meet or share a texel; at most 64), in the smallest slot that is not exempt, or on the sheet where there
-/// are no slots. `None` where no page holds two clusters.
+/// meet or share a texel; at most 64), in the smallest slot that is not exempt; else at the size `otherwise`, or on the
+/// sheet. `None` where no page holds two clusters.
 ///
 /// A texel is touched when a triangle enters it by more than 1/1000 of its side.
-pub(super) fn of(atlas: &Atlas, charts: &Charts, clusters: &Clusters, slots: &[SlotSize]) -> Option<u32> {
-    (0..atlas.sheets.len()).filter_map(|page| of_page(atlas, charts, clusters, slots, page)).min()
+pub(super) fn of(
+    atlas: &Atlas,
+    charts: &Charts,
+    clusters: &Clusters,
+    slots: &[SlotSize],
+    otherwise: Option<[u32; 2]>,
+) -> Option<u32> {
+    (0..atlas.sheets.len()).filter_map(|page| of_page(atlas, charts, clusters, slots, otherwise, page)).min()
 }
 
-fn of_page(atlas: &Atlas, charts: &Charts, clusters: &Clusters, slots: &[SlotSize], page: usize) -> Option<u32> {
+fn of_page(
+    atlas: &Atlas,
+    charts: &Charts,
+    clusters: &Clusters,
+    slots: &[SlotSize],
+    otherwise: Option<[u32; 2]>,
+    page: usize,
+) -> Option<u32> {
     let cluster = |f: FaceId| clusters.of_chart[charts.of_face[f.index()].index()];
     let mut on_page = atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page).map(cluster);
     let first = on_page.next()?;
@@ -32,7 +45,7 @@ fn of_page(atlas: &Atlas, charts: &Charts, clusters: &Clusters, slots: &[SlotSiz
         .filter(|s| usize::from(s.page) == page && !s.exempt)
         .map(|s| [s.width, s.height])
         .min_by_key(|s| u64::from(s[0]) * u64::from(s[1]));
-    let size = smallest.unwrap_or(atlas.sheets[page]);
+    let size = smallest.or(otherwise).unwrap_or(atlas.sheets[page]);
     // Texels four times as large that are far apart settle it at a fraction of the cost.
     if size.iter().all(|s| s % COARSE == 0) {
         let coarse =
@@ -144,7 +157,7 @@ mod tests {
 
     fn gutter(atlas: &Atlas, slots: &[SlotSize]) -> Option<u32> {
         let charts = Charts::new(&Topology::new(atlas));
-        of(atlas, &charts, &clusters(atlas, &charts, OverlapMode::Stack), slots)
+        of(atlas, &charts, &clusters(atlas, &charts, OverlapMode::Stack), slots, None)
     }
 
     #[test]

@@ -20,6 +20,8 @@ pub struct Frame<'a> {
     pub clusters: &'a Clusters,
     /// Every image of the set, on every page; empty for a virtual page.
     pub slots: &'a [SlotSize],
+    /// Size on the sheet of the smallest slot, for `gutter_texels`, where the images in `slots` do not each fill the sheet.
+    pub smallest_slot: Option<[u32; 2]>,
     /// Fraction of the 3D area whose texels were not copied verbatim, where textures were baked.
     pub resampled_area: Option<f64>,
     /// Mean squared difference of the surface signal, where it was computed.
@@ -151,7 +153,7 @@ pub fn measure(atlas: &Atlas, frame: &Frame<'_>) -> Measures {
     totals.isometry = distortion::from_surface(atlas);
     totals.from_input = distortion::from_input(atlas, frame.input.unwrap_or(atlas));
     totals.density = density::of(atlas);
-    totals.gutter = gutter::of(atlas, &own_charts, frame.clusters, frame.slots);
+    totals.gutter = gutter::of(atlas, &own_charts, frame.clusters, frame.slots, frame.smallest_slot);
     totals.resampled = frame.resampled_area.map(|f| f * totals.surface_area);
     totals.signal = frame.signal_error.map(|e| e * totals.surface_area);
     totals.slots = frame.slots.len();
@@ -317,7 +319,10 @@ mod tests {
 
     fn measured(atlas: &Atlas, input: Option<&Atlas>, slots: &[SlotSize]) -> Measures {
         let clusters = clusters(atlas, &Charts::new(&Topology::new(atlas)), OverlapMode::Stack);
-        measure(atlas, &Frame { input, clusters: &clusters, slots, resampled_area: None, signal_error: None })
+        measure(
+            atlas,
+            &Frame { input, clusters: &clusters, slots, smallest_slot: None, resampled_area: None, signal_error: None },
+        )
     }
 
     fn close(a: Option<f64>, b: f64) {

@@ -20,4 +20,6 @@ pub use density::TexelDensity;
 pub use gate::{Unmet, check_path, lookup, paths, unmet};
 pub use measures::{Frame, Measures, SlotSize, measure, roll_up};
 pub use picture::picture;
-pub use report::{AtlasReport, ImageReport, InputReport, ModelReport, Report, StageReport, TextureReport};
+pub use report::{
+    AtlasReport, ImageReport, InputReport, ModelInput, ModelReport, Report, StageReport, TextureReport, TextureSource,
+};

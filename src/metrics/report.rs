@@ -36,9 +36,30 @@ impl Report {
 /// What came in.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct InputReport {
-    /// Name of the model file.
+    /// Name of the model file; of several, their names.
     pub name: String,
     /// Bytes of all files.
+    pub bytes: u64,
+    /// Meshes of all models.
+    pub meshes: u64,
+    /// Primitives of all models.
+    pub primitives: u64,
+    /// Triangles of all models, refined or not.
+    pub triangles: u64,
+    /// Materials of all models.
+    pub materials: u64,
+    /// Images of all models.
+    pub images: u64,
+    /// The models, in the order in which they came.
+    pub models: Vec<ModelInput>,
+}
+
+/// One model as it came in.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ModelInput {
+    /// Name of the model file.
+    pub name: String,
+    /// Bytes of its files; files that several models come with count for each.
     pub bytes: u64,
     /// Meshes of the model.
     pub meshes: u64,
@@ -73,13 +94,17 @@ pub struct AtlasReport {
     pub id: u64,
     /// Name for people.
     pub name: String,
-    /// Names of the materials, or `material N`.
+    /// Models that share it: indices into `input.models`.
+    pub models: Vec<u64>,
+    /// Names of the materials, or `material N`; model by model.
     pub materials: Vec<String>,
     /// Sheets after refinement.
     pub pages: u64,
     /// Whether the atlas was refined; one that was not stays out of `require`.
     pub refined: bool,
-    /// As uploaded.
+    /// Least and greatest weight of its surface, where `importance` gives weights.
+    pub importance: Option<[f64; 2]>,
+    /// As uploaded; of several sets that share it, their sheets side by side.
     pub before: Measures,
     /// As delivered.
     pub after: Measures,
@@ -94,12 +119,14 @@ pub struct TextureReport {
     pub page: u64,
     /// Name of the slot.
     pub slot: String,
-    /// Index into the model's `images`, after refinement.
+    /// Index into the model's `images`, as uploaded; of several sources, the largest one's.
     pub image_index: u64,
     /// Name of the image, where it has one.
     pub name: Option<String>,
-    /// As uploaded.
+    /// As uploaded; of several sources, the largest.
     pub before: ImageReport,
+    /// Every uploaded image that it was made of.
+    pub sources: Vec<TextureSource>,
     /// As delivered.
     pub after: ImageReport,
     /// Texels of the slot, on all pages, whose centre a chart covers and that were copied unchanged.
@@ -118,6 +145,19 @@ pub struct TextureReport {
     pub mip2_mean_error: f64,
     /// Largest difference of a channel at mip level 2, in 1/255.
     pub mip2_max_error: f64,
+}
+
+/// An uploaded image that became part of a texture.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TextureSource {
+    /// Its model: an index into `input.models`.
+    pub model: u64,
+    /// Index into the model's `images`, as uploaded.
+    pub image_index: u64,
+    /// Name of the image, where it has one.
+    pub name: Option<String>,
+    /// As uploaded.
+    pub before: ImageReport,
 }
 
 /// An image file.

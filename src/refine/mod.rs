@@ -1,6 +1,10 @@
 //! The stages, from Atlas to Atlas, and the recipe that runs them in order.
 
 mod check;
+mod deliver;
+mod group;
+pub mod importance;
+mod load;
 pub mod options;
 mod pack;
 pub mod parse;

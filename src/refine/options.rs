@@ -18,6 +18,8 @@ pub struct Options {
     pub texture: Texture,
     /// What one atlas is.
     pub atlas: AtlasOptions,
+    /// Which parts of the surface matter more; null is all alike.
+    pub importance: Option<ImportanceSource>,
     /// Container of the output model.
     pub output: Output,
     /// Requirements on the report: a dotted path to its bounds.
@@ -39,6 +41,7 @@ impl Default for Options {
             pack: Pack::default(),
             texture: Texture::default(),
             atlas: AtlasOptions::default(),
+            importance: None,
             output: Output::Glb,
             require: BTreeMap::new(),
             seed: 0,
@@ -307,6 +310,20 @@ impl Default for AtlasOptions {
     fn default() -> Self {
         AtlasOptions { overlaps: OverlapMode::Stack, tiling: Tiling::Bake, uv_set: 0, if_larger: IfLarger::KeepInput }
     }
+}
+
+/// Where weights come from: 1 is ordinary, 100 matters a hundred times as much, 0 not at all.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ImportanceSource {
+    /// A vertex attribute and its component (r, g, b, a or x, y, z, w), such as `COLOR_0.r`: floats or normalised integers. Values
+    /// in 0..=1 are the weights 1..=100; where any value is above 1, all are taken as they are. Primitives without it weigh 1.
+    Attribute(String),
+    /// A file that comes with the model, read at the uploaded texture coordinates (repeated): its first channel, linear,
+    /// 0..=1, is the weights 1..=100.
+    Texture(String),
+    /// Weights by the materials' names, each at least 0; the others weigh 1.
+    Materials(BTreeMap<String, f64>),
 }
 
 /// Container of the output model.

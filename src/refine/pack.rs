@@ -42,6 +42,7 @@ fn keeps_input(before: &Atlas, charts: &Charts, after: &Atlas, frame: &Frame, op
     options.atlas.if_larger == IfLarger::KeepInput
         && options.texture.size == Size::KeepDensity
         && !frame.is_virtual
+        && !frame.joined
         && area(&after.sheets) > area(&before.sheets)
         // Charts that were to be pulled apart need room of their own.
         && (options.atlas.overlaps == OverlapMode::Stack || overlapping_charts(before, charts).is_empty())

@@ -8,7 +8,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use super::options::{AtlasOptions, Options, Pack, Recipe, Requirement, Size, Stage, Texture};
+use super::importance::attribute_and_component;
+use super::options::{AtlasOptions, ImportanceSource, Options, Pack, Recipe, Requirement, Size, Stage, Texture};
 use crate::error::{Code, Failure};
 pub use words::nearest;
 use words::{child, kind, name, short};
@@ -67,11 +68,6 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
             "texture" => out.texture = section::<Texture>(value, &pointer, &mut problems),
             "atlas" => out.atlas = section::<AtlasOptions>(value, &pointer, &mut problems),
             "require" => out.require = requirements(value, &pointer, &mut problems),
-            "importance" => {
-                if let Standing::Later = standing("", key, value) {
-                    problems.push(not_yet(&pointer, "`importance`"));
-                }
-            }
             _ if known.iter().any(|k| k == key) => {
                 let one = Value::Object(Map::from_iter([(key.clone(), value.clone())]));
                 match typed::<Options>(&one, "") {
@@ -89,6 +85,7 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
 /// The plain options, those that are not an object or a recipe of their own.
 fn take(out: &mut Options, key: &str, parsed: Options) {
     match key {
+        "importance" => out.importance = parsed.importance,
         "output" => out.output = parsed.output,
         "seed" => out.seed = parsed.seed,
         "work_budget" => out.work_budget = parsed.work_budget,
@@ -302,6 +299,22 @@ fn ranges(o: &Options) -> Vec<Problem> {
             out.push(Problem::new("/texture/size", format!("`size` {size:?} is no power of two")));
         }
     }
+    match &o.importance {
+        Some(ImportanceSource::Attribute(name)) if attribute_and_component(name).is_none() => {
+            let text = format!("`{}` is not an attribute and a component, such as COLOR_0.r", short(name));
+            out.push(Problem::new("/importance/attribute", text));
+        }
+        Some(ImportanceSource::Texture(name)) if name.is_empty() => {
+            out.push(Problem::new("/importance/texture", "`texture` is the name of a file that comes with the model"));
+        }
+        Some(ImportanceSource::Materials(weights)) => {
+            for (name, weight) in weights.iter().filter(|(_, w)| !w.is_finite() || **w < 0.0) {
+                let text = format!("the weight of `{}` is {weight}; it is at least 0", short(name));
+                out.push(Problem::new(child("/importance/materials", name), text));
+            }
+        }
+        _ => {}
+    }
     if serde_json::to_vec(&o.metadata).map_or(true, |m| m.len() > MAX_METADATA_BYTES) {
         out.push(Problem::new("/metadata", format!("`metadata` is larger than {MAX_METADATA_BYTES} bytes of JSON")));
     }
@@ -319,8 +332,8 @@ enum Standing {
 
 fn standing(parent: &str, key: &str, value: &Value) -> Standing {
     match (parent, key, value) {
-        ("", "importance", Value::Null) | ("/atlas", "merge", Value::Bool(false)) => Standing::Neutral,
-        ("", "importance", _) | ("/atlas", "merge", _) => Standing::Later,
+        ("/atlas", "merge", Value::Bool(false)) => Standing::Neutral,
+        ("/atlas", "merge", _) => Standing::Later,
         ("/texture", "format", Value::String(format)) if format == "webp" => Standing::Later,
         _ => Standing::Here,
     }
@@ -387,7 +400,7 @@ mod tests {
     fn every_problem_is_found_with_its_pointer() {
         let bad = json!({
             "pack": {"gutters": 2, "grid": 0, "rotation": "quater"}, "texture": {"jpeg_quality": 101, "mutliple_of": 4},
-            "atlas": {"merge": true, "uv_set": 9}, "importance": {"attribute": "COLOR_0.r"}, "time_limit_s": -1,
+            "atlas": {"merge": true, "uv_set": 9}, "importance": {"attribute": "COLOR_0.red"}, "time_limit_s": -1,
             "require": {"atlas.charts": {}, "model.x/y": {"minimum": 1}}, "recipe": [{"stage": "pack", "grid": 2}, {"stage": "bounded"}],
             "seed": "x", "colour": 1,
         });
@@ -401,7 +414,7 @@ mod tests {
             ("/texture/mutliple_of", "`multiple_of`"),
             ("/atlas/merge", "not available in this version"),
             ("/atlas/uv_set", "outside 0..=7"),
-            ("/importance", "not available in this version"),
+            ("/importance/attribute", "such as COLOR_0.r"),
             ("/time_limit_s", "-1"),
             ("/require/atlas.charts", "at least one of"),
             ("/require/model.x~1y/minimum", "did you mean `min`?"),
@@ -431,6 +444,16 @@ mod tests {
     #[test]
     fn what_is_neutral_is_accepted() {
         assert!(options(&json!({"importance": null, "atlas": {"merge": false}, "work_budget": null})).is_ok());
+    }
+
+    #[test]
+    fn importance_has_one_source() {
+        let pointer = |value: Value| options(&json!({ "importance": value })).unwrap_err().remove(0).pointer;
+        assert_eq!(pointer(json!({"attribute": "COLOR_0.r", "texture": "x.png"})), "/importance");
+        assert_eq!(pointer(json!({"materials": {"a/b": -1}})), "/importance/materials/a~1b");
+        assert_eq!(pointer(json!({"texture": ""})), "/importance/texture");
+        assert!(pointer(json!({"vertex": 1})).starts_with("/importance"));
+        assert!(options(&json!({"importance": {"materials": {"skin": 20}}})).is_ok());
     }
 
     #[test]

@@ -3,25 +3,27 @@
 use rayon::prelude::*;
 use serde_json::{Map, Value};
 
+use super::group::{Group, Member};
+use super::importance::{Importance, material_name};
+use super::load::{Loaded, Model};
 use super::options::{OverlapMode, Stage};
-use super::run::Loaded;
 use super::textures::BakedSlot;
-use crate::asset::{Document, TextureSet, is_small};
-use crate::atlas::{Atlas, Charts, Topology, clusters};
+use crate::asset::{Document, Slot, is_small};
+use crate::atlas::{Atlas, Charts, Clusters, Topology, clusters};
 use crate::context::Context;
 use crate::error::Result;
 use crate::metrics::{
-    AtlasReport, Frame, ImageReport, InputReport, Measures, ModelReport, Report, SlotSize, StageReport, TextureReport,
-    measure, roll_up,
+    AtlasReport, Frame, ImageReport, InputReport, Measures, ModelInput, ModelReport, Report, SlotSize, StageReport,
+    TextureReport, TextureSource, measure, roll_up,
 };
 
-/// One texture set on its way through the recipe.
+/// One group of texture sets on its way through the recipe.
 pub(super) struct Refinement<'a> {
     /// As read.
-    pub set: &'a TextureSet,
+    pub group: &'a Group,
     /// As the last stage left it.
     pub atlas: Atlas,
-    /// Whether nothing has been changed so far: the set stays as uploaded.
+    /// Whether nothing has been changed so far: the sets stay as uploaded.
     pub kept: bool,
     /// What the stages said.
     pub stages: Vec<StageReport>,
@@ -31,50 +33,57 @@ pub(super) struct Refinement<'a> {
 
 impl<'a> Refinement<'a> {
     /// Before any stage.
-    pub fn untouched(set: &'a TextureSet) -> Self {
-        Refinement { set, atlas: set.atlas.clone(), kept: true, stages: Vec::new(), slots: Vec::new() }
+    pub fn untouched(group: &'a Group) -> Self {
+        let atlas = group.set().atlas.clone();
+        Refinement { group, atlas, kept: true, stages: Vec::new(), slots: Vec::new() }
     }
 
     /// Records that a stage ran.
     pub fn ran(&mut self, stage: &Stage, stopped_by: &str, work: u64) {
         self.stages.push(StageReport {
             stage: stage.name().to_owned(),
-            atlas_id: self.set.id as u64,
+            atlas_id: self.group.set().id as u64,
             stopped_by: stopped_by.to_owned(),
             figures: Map::from_iter([("work".to_owned(), Value::from(work))]),
         });
     }
 
-    /// Sizes of the images as uploaded.
-    fn sizes_before(&self, doc: &Document) -> Vec<SlotSize> {
-        self.set.slots.iter().map(|s| self.size_of(s, doc)).collect()
-    }
-
-    fn size_of(&self, slot: &crate::asset::Slot, doc: &Document) -> SlotSize {
-        SlotSize {
+    /// Sizes of the images as uploaded, those that `pick` takes.
+    fn sizes(&self, loaded: &Loaded, pick: impl Fn(&Slot) -> bool) -> Vec<SlotSize> {
+        let size = |member: &Member, slot: &Slot| SlotSize {
             page: 0,
             width: slot.header.width,
             height: slot.header.height,
-            bytes: image_bytes(doc, slot.image),
-            exempt: slot.exempt || is_small(slot, self.set.reference),
-        }
+            bytes: image_bytes(&loaded.models[member.model].doc, slot.image),
+            // Images of several sets lie on no common sheet.
+            exempt: slot.exempt || self.group.is_joined() || is_small(slot, member.set.reference),
+        };
+        let members = self.group.members.iter();
+        members.flat_map(|m| m.set.slots.iter().filter(|s| pick(s)).map(move |s| size(m, s))).collect()
+    }
+
+    /// Size of the smallest slot on the sheet that several sets share as uploaded.
+    fn smallest_before(&self) -> Option<[u32; 2]> {
+        let set = self.group.set();
+        let slots = set.slots.iter().filter(|s| self.group.is_joined() && !is_small(s, set.reference));
+        slots.map(|s| [s.header.width, s.header.height]).min_by_key(|s| u64::from(s[0]) * u64::from(s[1]))
     }
 
     /// Sizes of the images as delivered.
-    fn sizes_after(&self, doc: &Document) -> Vec<SlotSize> {
+    fn sizes_after(&self, loaded: &Loaded) -> Vec<SlotSize> {
         if self.kept {
-            return self.sizes_before(doc);
+            return self.sizes(loaded, |_| true);
         }
-        let mut sizes: Vec<SlotSize> =
-            self.set.slots.iter().filter(|s| s.exempt).map(|s| self.size_of(s, doc)).collect();
+        let mut sizes = self.sizes(loaded, |s| s.exempt);
+        let set = self.group.set();
         for baked in &self.slots {
-            let slot = &self.set.slots[baked.slot];
+            let slot = &set.slots[baked.slot];
             sizes.extend(baked.files.iter().enumerate().map(|(page, file)| SlotSize {
                 page: page as u16,
                 width: file.size[0],
                 height: file.size[1],
                 bytes: file.bytes.len() as u64,
-                exempt: is_small(slot, self.set.reference),
+                exempt: is_small(slot, set.reference),
             }));
         }
         sizes
@@ -93,27 +102,27 @@ fn image_bytes(doc: &Document, image: usize) -> u64 {
     doc.images.get(image).and_then(Option::as_ref).map_or(0, |b| b.len() as u64)
 }
 
-/// Measures everything before and after. `written` is the document with the refined sets; without it nothing was refined.
+/// Measures everything before and after. `refined` tells a job that refines from one that only looks.
 ///
 /// # Errors
 /// `canceled`.
 pub(super) fn report(
     loaded: &Loaded,
     refinements: &[Refinement<'_>],
-    written: Option<&Document>,
+    refined: bool,
     context: &Context,
 ) -> Result<Report> {
     let atlases: Vec<AtlasReport> = refinements
         .par_iter()
         .map(|r| {
             context.check()?;
-            Ok(atlas_report(loaded, r, written.is_some()))
+            Ok(atlas_report(loaded, r, refined))
         })
         .collect::<Result<_>>()?;
     let all =
         |pick: fn(&AtlasReport) -> &Measures| roll_up(&atlases.iter().map(|a| pick(a).clone()).collect::<Vec<_>>());
     let model = ModelReport { before: all(|a| &a.before), after: all(|a| &a.after) };
-    let textures = refinements.iter().flat_map(|r| textures(loaded, r, written)).collect();
+    let textures = refinements.iter().flat_map(|r| textures(loaded, r)).collect();
     Ok(Report {
         schema: Report::SCHEMA,
         intarsia: env!("CARGO_PKG_VERSION").to_owned(),
@@ -127,60 +136,79 @@ pub(super) fn report(
 }
 
 fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasReport {
-    let doc = &loaded.doc;
-    let of = |atlas: &Atlas, input: Option<&Atlas>, slots: &[SlotSize], resampled_area: Option<f64>| {
+    let set = r.group.set();
+    let of = |atlas: &Atlas, frame: Frame<'_>| {
         let charts = Charts::new(&Topology::new(atlas));
         let clusters = clusters(atlas, &charts, OverlapMode::Stack);
-        measure(atlas, &Frame { input, clusters: &clusters, slots, resampled_area, signal_error: None })
+        measure(atlas, &Frame { clusters: &clusters, ..frame })
     };
-    let before = of(&r.set.atlas, None, &r.sizes_before(doc), None);
+    let none = Clusters::default();
+    let frame = Frame {
+        input: None,
+        clusters: &none,
+        slots: &r.sizes(loaded, |_| true),
+        smallest_slot: r.smallest_before(),
+        resampled_area: None,
+        signal_error: None,
+    };
+    let before = of(&set.atlas, frame);
     let after = match r.kept {
         true => Measures { resampled_area: refined.then_some(0.0), ..before.clone() },
-        false => of(&r.atlas, Some(&r.set.atlas), &r.sizes_after(doc), r.resampled_area()),
+        false => {
+            let (input, resampled_area) = (Some(&set.atlas), r.resampled_area());
+            of(&r.atlas, Frame { input, slots: &r.sizes_after(loaded), smallest_slot: None, resampled_area, ..frame })
+        }
     };
+    let mut models: Vec<u64> = r.group.members.iter().map(|m| m.model as u64).collect();
+    models.dedup();
     AtlasReport {
-        id: r.set.id as u64,
-        name: r.set.name.clone(),
-        materials: material_names(doc, r.set),
+        id: set.id as u64,
+        name: set.name.clone(),
+        models,
+        materials: material_names(loaded, r.group),
         pages: r.atlas.sheets.len() as u64,
         // What is only inspected is judged as it is.
         refined: true,
+        importance: r.group.importance.as_ref().and_then(Importance::range),
         before,
         after,
     }
 }
 
-fn material_names(doc: &Document, set: &TextureSet) -> Vec<String> {
-    let mut materials: Vec<usize> = set.primitives.iter().filter_map(|p| p.material).collect();
+/// The names of the members' materials, model by model, each once.
+fn material_names(loaded: &Loaded, group: &Group) -> Vec<String> {
+    let primitives = |m: &Member| m.set.primitives.iter().filter_map(|p| p.material).collect::<Vec<_>>();
+    let mut materials: Vec<(usize, usize)> =
+        group.members.iter().flat_map(|m| primitives(m).into_iter().map(|p| (m.model, p))).collect();
     materials.sort_unstable();
     materials.dedup();
-    let name = |m: usize| doc.json.pointer(&format!("/materials/{m}/name")).and_then(Value::as_str);
-    materials.into_iter().map(|m| name(m).map_or_else(|| format!("material {m}"), str::to_owned)).collect()
+    materials.into_iter().map(|(model, m)| material_name(&loaded.models[model].doc, m)).collect()
 }
 
-fn textures(loaded: &Loaded, r: &Refinement<'_>, written: Option<&Document>) -> Vec<TextureReport> {
+fn textures(loaded: &Loaded, r: &Refinement<'_>) -> Vec<TextureReport> {
     let mut all = Vec::new();
     for baked in &r.slots {
-        let slot = &r.set.slots[baked.slot];
-        let name = |doc: &Document| {
-            doc.json.pointer(&format!("/images/{}/name", slot.image)).and_then(Value::as_str).map(str::to_owned)
-        };
-        let before = ImageReport {
-            width: slot.header.width,
-            height: slot.header.height,
-            format: slot.header.format,
-            bytes: image_bytes(&loaded.doc, slot.image),
-        };
+        let slot = &r.group.set().slots[baked.slot];
+        let sources: Vec<TextureSource> = r
+            .group
+            .sources(baked.slot)
+            .map(|(member, own)| source_report(loaded, member, &member.set.slots[own]))
+            .collect();
+        let pixels = |s: &TextureSource| u64::from(s.before.width) * u64::from(s.before.height);
+        // The first of the largest.
+        let largest = sources.iter().reduce(|a, b| if pixels(b) > pixels(a) { b } else { a });
+        let Some(largest) = largest.cloned() else { continue };
         let f = &baked.fidelity;
         let direction = slot.role.is_direction();
         for (page, file) in baked.files.iter().enumerate() {
             all.push(TextureReport {
-                atlas_id: r.set.id as u64,
+                atlas_id: r.group.set().id as u64,
                 page: page as u64,
                 slot: slot.name.clone(),
-                image_index: slot.image as u64,
-                name: name(written.unwrap_or(&loaded.doc)),
-                before: before.clone(),
+                image_index: largest.image_index,
+                name: largest.name.clone(),
+                before: largest.before.clone(),
+                sources: sources.clone(),
                 after: ImageReport {
                     width: file.size[0],
                     height: file.size[1],
@@ -201,8 +229,40 @@ fn textures(loaded: &Loaded, r: &Refinement<'_>, written: Option<&Document>) -> 
     all
 }
 
+fn source_report(loaded: &Loaded, member: &Member, slot: &Slot) -> TextureSource {
+    let uploaded = &loaded.models[member.model].doc;
+    let name = uploaded.json.pointer(&format!("/images/{}/name", slot.image)).and_then(Value::as_str);
+    TextureSource {
+        model: member.model as u64,
+        image_index: slot.image as u64,
+        name: name.map(str::to_owned),
+        before: ImageReport {
+            width: slot.header.width,
+            height: slot.header.height,
+            format: slot.header.format,
+            bytes: image_bytes(uploaded, slot.image),
+        },
+    }
+}
+
 fn input_report(loaded: &Loaded) -> InputReport {
-    let json = &loaded.doc.json;
+    let models: Vec<ModelInput> = loaded.models.iter().map(model_input).collect();
+    let names: Vec<&str> = models.iter().map(|m| m.name.as_str()).collect();
+    let sum = |pick: fn(&ModelInput) -> u64| models.iter().map(pick).sum();
+    InputReport {
+        name: names.join(", "),
+        bytes: loaded.bytes,
+        meshes: sum(|m| m.meshes),
+        primitives: sum(|m| m.primitives),
+        triangles: sum(|m| m.triangles),
+        materials: sum(|m| m.materials),
+        images: sum(|m| m.images),
+        models,
+    }
+}
+
+fn model_input(model: &Model) -> ModelInput {
+    let json = &model.doc.json;
     let list = |key: &str| json.get(key).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     let primitives = || list("meshes").iter().flat_map(|m| m["primitives"].as_array().into_iter().flatten());
     let count = |primitive: &Value| {
@@ -214,9 +274,9 @@ fn input_report(loaded: &Loaded) -> InputReport {
             _ => Some(0),
         }
     };
-    InputReport {
-        name: loaded.doc.name.clone(),
-        bytes: loaded.bytes,
+    ModelInput {
+        name: model.doc.name.clone(),
+        bytes: model.bytes,
         meshes: list("meshes").len() as u64,
         primitives: primitives().count() as u64,
         triangles: primitives().filter_map(count).sum(),

@@ -18,6 +18,8 @@ pub struct Frame {
     pub mipmaps: bool,
     /// Whether there are no images at all.
     pub is_virtual: bool,
+    /// Whether several texture sets share the Atlas: that is a gain in itself.
+    pub joined: bool,
 }
 
 impl Frame {
@@ -41,6 +43,7 @@ impl Frame {
             unit,
             mipmaps: slots().any(|s| s.mipmaps),
             is_virtual: set.slots.is_empty(),
+            joined: false,
         }
     }
 

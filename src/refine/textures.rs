@@ -1,11 +1,17 @@
-//! The images of one texture set, slot by slot: decode, bake, compare, encode.
+//! The images of one Atlas, slot by slot: decode, bake, compare, encode.
 
+use glam::DVec2;
+
+use super::group::Group;
+use super::load::Loaded;
 use super::options::{Texture, TextureFormat};
 use crate::asset::{Document, Slot, TextureSet, is_small, mark_uniform, small_slot_warning};
 use crate::atlas::Atlas;
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
-use crate::texture::{Bake, FIDELITY_SAMPLES, Fidelity, Format, Image, Samples, bake, decode, encode, fidelity};
+use crate::texture::{
+    Alpha, Bake, FIDELITY_SAMPLES, Fidelity, Format, Image, Samples, Source, Wrap, bake, decode, encode, fidelity,
+};
 
 /// Texels about each chart that are taken from the uploaded image: enough for mip levels 0 to 2.
 const BLEED: u32 = 8;
@@ -36,24 +42,24 @@ pub struct BakedFile {
     pub bytes: Vec<u8>,
 }
 
-/// Bakes every slot of the set that is not exempt, one at a time. `progress` maps the fraction of this set to that of the stage.
+/// Bakes every slot of the group that is not exempt, one at a time. `progress` maps the fraction of this set to that of the stage.
 ///
 /// # Errors
 /// `invalid_image` with a pointer for an image that cannot be decoded, `too_large`, `canceled`.
 pub fn bake_slots(
-    doc: &Document,
-    set: &TextureSet,
+    loaded: &Loaded,
+    group: &Group,
     after: &Atlas,
     options: &Texture,
     max_pixels: u64,
     context: &Context,
     progress: &dyn Fn(f64) -> f64,
 ) -> Result<Vec<BakedSlot>> {
-    let active: Vec<(usize, &Slot)> = set.slots.iter().enumerate().filter(|(_, s)| !s.exempt).collect();
+    let active: Vec<(usize, &Slot)> = group.set().slots.iter().enumerate().filter(|(_, s)| !s.exempt).collect();
     let mut baked = Vec::new();
     for (n, (index, slot)) in active.iter().enumerate() {
         context.step(progress(n as f64 / active.len() as f64), &slot.name)?;
-        baked.push(bake_slot(doc, set, after, options, max_pixels, (*index, slot), context)?);
+        baked.push(bake_slot(loaded, group, after, options, max_pixels, (*index, slot), context)?);
     }
     Ok(baked)
 }
@@ -98,22 +104,40 @@ fn is_uniform(image: &Image) -> bool {
 }
 
 fn bake_slot(
-    doc: &Document,
-    set: &TextureSet,
+    loaded: &Loaded,
+    group: &Group,
     after: &Atlas,
     options: &Texture,
     max_pixels: u64,
     (index, slot): (usize, &Slot),
     context: &Context,
 ) -> Result<BakedSlot> {
+    let set = group.set();
     let pointer = format!("/images/{}", slot.image);
-    let encoded = doc
-        .images
-        .get(slot.image)
-        .and_then(Option::as_deref)
-        .ok_or_else(|| Failure::new(Code::MissingFile, "the image is missing").at(&pointer))?;
-    let source = decode(encoded, max_pixels).map_err(|f| f.at(&pointer))?;
-    let job = Bake { before: &set.atlas, after, reference: set.reference, slot, source: &source, bleed: BLEED };
+    let images = source_images(loaded, group, index, slot, max_pixels)?;
+    let readers: Vec<Vec<u32>> = group.sources(index).map(|(m, s)| Group::primitives(m, &m.set.slots[s])).collect();
+    let mut sources: Vec<Source<'_>> = Vec::new();
+    for (((member, own), image), primitives) in group.sources(index).zip(&images).zip(&readers) {
+        let own = &member.set.slots[own];
+        let (wrap, alpha, sheet, place) = (own.wrap, own.alpha, member.set.reference, member.place);
+        sources.push(Source { image, wrap, alpha, primitives, sheet, place, neutral: false });
+    }
+    // Faces of sets that do not have the slot.
+    let neutral = Image::neutral(slot.role, slot.header.channels, slot.header.depth);
+    let others: Vec<u32> = (0..set.primitives.len() as u32).filter(|p| !slot.primitives.contains(p)).collect();
+    if group.is_joined() && !others.is_empty() {
+        let (wrap, alpha, place) = ([Wrap::Repeat; 2], Alpha::Opaque, DVec2::ZERO);
+        sources.push(Source {
+            image: &neutral,
+            wrap,
+            alpha,
+            primitives: &others,
+            sheet: texel_sheet(slot, set),
+            place,
+            neutral: true,
+        });
+    }
+    let job = Bake { before: &set.atlas, after, reference: set.reference, slot, sources, bleed: BLEED };
     let baked = bake(&job, context)?;
     let (fidelity, files) = rayon::join(
         || fidelity(&job, &baked, FIDELITY_SAMPLES, context),
@@ -136,6 +160,32 @@ fn bake_slot(
         resampled_area: baked.resampled_area,
         fidelity: fidelity?,
     })
+}
+
+/// The decoded images of a slot, with the channels and bits of the slot, in the order of its sources.
+fn source_images(loaded: &Loaded, group: &Group, index: usize, slot: &Slot, max_pixels: u64) -> Result<Vec<Image>> {
+    let mut images = Vec::new();
+    for (member, own) in group.sources(index) {
+        let image = member.set.slots[own].image;
+        let pointer = format!("/images/{image}");
+        let encoded = loaded
+            .models
+            .get(member.model)
+            .and_then(|m| m.doc.images.get(image)?.as_deref())
+            .ok_or_else(|| Failure::new(Code::MissingFile, "the image is missing").at(&pointer))?;
+        let decoded = decode(encoded, max_pixels).map_err(|f| f.at(&pointer))?;
+        images.push(match group.is_joined() {
+            true => decoded.widened(slot.header.channels, slot.header.depth),
+            false => decoded,
+        });
+    }
+    Ok(images)
+}
+
+/// The sheet of one texel of a slot: what makes an image of one texel as fine as the slot.
+fn texel_sheet(slot: &Slot, set: &TextureSet) -> [u32; 2] {
+    let side = |k: usize, size: u32| (f64::from(set.reference[k]) / f64::from(size.max(1))).round().max(1.0) as u32;
+    [side(0, slot.header.width), side(1, slot.header.height)]
 }
 
 fn format_of(slot: &Slot, page: &Image, options: &Texture, context: &Context, pointer: &str) -> Format {

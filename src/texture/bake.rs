@@ -1,6 +1,7 @@
 //! From the uploaded texture to the refined one, through provenance: whole texels are copied, the rest is resampled,
 //! what nobody owns is filled.
 
+use glam::DVec2;
 use rayon::prelude::*;
 
 use super::band::{Baker, Counts, state};
@@ -9,7 +10,7 @@ use super::cover::Page;
 use super::fill::fill;
 use super::map::{Map, Maps};
 use super::sample::{Footprint, Sampler};
-use super::{Alpha, Image, Samples};
+use super::{Alpha, Image, Samples, Wrap};
 use crate::asset::Slot;
 use crate::atlas::{Atlas, Charts, Topology};
 use crate::context::Context;
@@ -22,21 +23,68 @@ const PAGE_TEXELS: u64 = 1 << 30;
 /// Relative change of a mask's coverage from which its alpha is scaled.
 const COVERAGE_CHANGE: f64 = 0.01;
 
-/// One slot of a texture set to bake to a new layout.
-#[derive(Clone, Copy)]
+/// One slot of an Atlas to bake to a new layout.
+#[derive(Clone)]
 pub struct Bake<'a> {
     /// The Atlas as uploaded: what provenance refers to.
     pub before: &'a Atlas,
     /// The refined Atlas.
     pub after: &'a Atlas,
-    /// Size of the reference sheet in whose texels the UVs of `before` are measured.
+    /// Size of a sheet, in the texels in which UVs are measured, for which the slot has the size in its header.
     pub reference: [u32; 2],
-    /// What the image means, its wrap modes, and which primitives read it.
+    /// What the images mean, and how large the slot is.
     pub slot: &'a Slot,
-    /// The decoded image of the slot.
-    pub source: &'a Image,
+    /// Where the slot is read from; at least one. All images have equal channels and depth.
+    pub sources: Vec<Source<'a>>,
     /// Width of the ring about each chart that is taken from the uploaded image, in texels of the slot. 8 keeps the first mip levels.
     pub bleed: u32,
+}
+
+/// An uploaded image, and the primitives whose faces read it.
+#[derive(Clone, Copy)]
+pub struct Source<'a> {
+    /// The decoded image.
+    pub image: &'a Image,
+    /// Wrap modes (S, T).
+    pub wrap: [Wrap; 2],
+    /// How alpha is treated.
+    pub alpha: Alpha,
+    /// Primitives, as provenance numbers them.
+    pub primitives: &'a [u32],
+    /// Size of the sheet that the image fills, in reference texels.
+    pub sheet: [u32; 2],
+    /// Where the corner of that sheet lies in the layout of `before`.
+    pub place: DVec2,
+    /// Whether it only fills the place of faces that do not read the slot: they stay out of all figures.
+    pub neutral: bool,
+}
+
+impl<'a> Bake<'a> {
+    /// A slot that is one image, which fills the sheet `reference`.
+    pub fn single(
+        before: &'a Atlas,
+        after: &'a Atlas,
+        reference: [u32; 2],
+        slot: &'a Slot,
+        image: &'a Image,
+        bleed: u32,
+    ) -> Self {
+        let source = Source {
+            image,
+            wrap: slot.wrap,
+            alpha: slot.alpha,
+            primitives: &slot.primitives,
+            sheet: reference,
+            place: DVec2::ZERO,
+            neutral: false,
+        };
+        Bake { before, after, reference, slot, sources: vec![source], bleed }
+    }
+
+    /// Channels of every image.
+    pub(crate) fn channels(&self) -> u8 {
+        self.sources.first().map_or(0, |s| s.image.channels)
+    }
 }
 
 /// A baked slot.
@@ -59,8 +107,8 @@ pub fn page_size(job: &Bake<'_>, page: usize) -> [u32; 2] {
         let size = (f64::from(sheet) * f64::from(slot) / f64::from(reference.max(1))).round();
         size.clamp(1.0, f64::from(u32::MAX)) as u32
     };
-    let source = [job.source.width, job.source.height];
-    [side(sheet[0], source[0], job.reference[0]), side(sheet[1], source[1], job.reference[1])]
+    let slot = [job.slot.header.width, job.slot.header.height];
+    [side(sheet[0], slot[0], job.reference[0]), side(sheet[1], slot[1], job.reference[1])]
 }
 
 /// Bakes one slot. Each face whose new place differs from the uploaded one by whole texels, quarter turns and mirroring is copied
@@ -69,43 +117,55 @@ pub fn page_size(job: &Bake<'_>, page: usize) -> [u32; 2] {
 /// Fails with `canceled`, with `too_large` for a page of more than 2^30 texels, with `internal` when the parts of the job do not
 /// belong together.
 pub fn bake(job: &Bake<'_>, context: &Context) -> Result<Baked> {
-    match (&job.source.samples, job.source.channels) {
-        (Samples::U8(s), 1) => Baker::<u8, 1>::run(job, s, context),
-        (Samples::U8(s), 2) => Baker::<u8, 2>::run(job, s, context),
-        (Samples::U8(s), 3) => Baker::<u8, 3>::run(job, s, context),
-        (Samples::U8(s), 4) => Baker::<u8, 4>::run(job, s, context),
-        (Samples::U16(s), 1) => Baker::<u16, 1>::run(job, s, context),
-        (Samples::U16(s), 2) => Baker::<u16, 2>::run(job, s, context),
-        (Samples::U16(s), 3) => Baker::<u16, 3>::run(job, s, context),
-        (Samples::U16(s), 4) => Baker::<u16, 4>::run(job, s, context),
+    let deep = job.sources.first().is_some_and(|s| matches!(s.image.samples, Samples::U16(_)));
+    match (deep, job.channels()) {
+        (false, 1) => Baker::<u8, 1>::run(job, context),
+        (false, 2) => Baker::<u8, 2>::run(job, context),
+        (false, 3) => Baker::<u8, 3>::run(job, context),
+        (false, 4) => Baker::<u8, 4>::run(job, context),
+        (true, 1) => Baker::<u16, 1>::run(job, context),
+        (true, 2) => Baker::<u16, 2>::run(job, context),
+        (true, 3) => Baker::<u16, 3>::run(job, context),
+        (true, 4) => Baker::<u16, 4>::run(job, context),
         (_, n) => Err(Failure::internal(format!("an image cannot have {n} channels"))),
     }
 }
 
 impl<T: Depth, const C: usize> Baker<'_, T, C> {
-    fn run(job: &Bake<'_>, texels: &[T], context: &Context) -> Result<Baked> {
-        let source = job.source;
-        let count = u64::from(source.width) * u64::from(source.height) * C as u64;
-        if count == 0 || texels.len() as u64 != count {
-            return Err(Failure::internal("an image to bake does not hold the samples that it declares"));
-        }
+    fn run(job: &Bake<'_>, context: &Context) -> Result<Baked> {
         let topology = Topology::new(job.after);
         let maps = Maps::new(job, &Charts::new(&topology))?;
-        let codec = Codec::new(Space::of(job.slot.role, source.channels));
-        let size = [i64::from(source.width), i64::from(source.height)];
-        let premultiply = job.slot.alpha == Alpha::Blend;
+        let codec = Codec::new(Space::of(job.slot.role, job.channels()));
         let cutoff = match job.slot.alpha {
             Alpha::Mask(cutoff) if alpha_channel(C).is_some() && cutoff > 0.0 && cutoff <= 1.0 => Some(cutoff as f32),
             _ => None,
         };
         let shown = codec.shown();
-        let sampler = Sampler::<T, C> { texels, size, wrap: job.slot.wrap, codec: &codec, shown: &shown, premultiply };
+        let mut samplers = Vec::with_capacity(job.sources.len());
+        for source in &job.sources {
+            let image = source.image;
+            let texels = T::of(&image.samples).unwrap_or_default();
+            let count = u64::from(image.width) * u64::from(image.height) * C as u64;
+            if count == 0 || texels.len() as u64 != count || usize::from(image.channels) != C {
+                return Err(Failure::internal("an image to bake does not hold the samples that it declares"));
+            }
+            let size = [i64::from(image.width), i64::from(image.height)];
+            let premultiply = source.alpha == Alpha::Blend;
+            samplers.push(Sampler::<T, C> {
+                texels,
+                size,
+                wrap: source.wrap,
+                codec: &codec,
+                shown: &shown,
+                premultiply,
+            });
+        }
         let footprint = |map: &Map| match map {
             Map::Exact { .. } => None,
             Map::Affine { linear, .. } => Some(Footprint::new(*linear)),
         };
         let footprints = maps.all.iter().map(footprint).collect();
-        let baker = Baker { job, sampler, maps, footprints, context, cutoff };
+        let baker = Baker { job, samplers, codec: &codec, shown: &shown, maps, footprints, context, cutoff };
         let mut pages = Vec::new();
         let mut verbatim_texels = 0;
         for page in 0..job.after.sheets.len() {
@@ -116,7 +176,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         let verbatim_face: Vec<bool> =
             (0..job.after.face_count()).map(|f| matches!(baker.maps.get(f), Some(Map::Exact { .. }))).collect();
         let (mut all, mut resampled) = (0.0, 0.0);
-        for face in job.after.faces().filter(|f| baker.maps.get(f.index()).is_some()) {
+        for face in job.after.faces().filter(|f| baker.maps.counts(f.index())) {
             let area = job.after.area(face);
             all += area;
             resampled += if verbatim_face[face.index()] { 0.0 } else { area };
@@ -160,7 +220,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
                 }
             });
         }
-        fill::<T, C>(&mut texels, &states, width, self.sampler.codec, self.context)?;
+        fill::<T, C>(&mut texels, &states, width, self.codec, self.context)?;
         let image = Image { width: w, height: h, channels: C as u8, samples: T::samples(texels) };
         Ok((image, copied))
     }

@@ -2,13 +2,13 @@
 
 use glam::DVec2;
 
-use super::Bake;
-use super::codec::{Depth, Space, alpha_channel};
+use super::codec::{Codec, Depth, Space, alpha_channel};
 use super::cover::{Band, NOBODY, Page};
 use super::direction::{Turn, turn_vector};
 use super::map::{Map, Maps};
 use super::refit::{Field, HALO, POINTS};
 use super::sample::{Footprint, Sampler};
+use super::{Alpha, Bake};
 use crate::context::Context;
 use crate::error::Result;
 
@@ -27,7 +27,12 @@ pub(crate) mod state {
 /// What all bands of a slot share.
 pub(crate) struct Baker<'a, T, const C: usize> {
     pub(crate) job: &'a Bake<'a>,
-    pub(crate) sampler: Sampler<'a, T, C>,
+    /// By source.
+    pub(crate) samplers: Vec<Sampler<'a, T, C>>,
+    /// Averages: linear light.
+    pub(crate) codec: &'a Codec<T>,
+    /// Interpolates: [`Codec::shown`].
+    pub(crate) shown: &'a Codec<T>,
     pub(crate) maps: Maps,
     /// By map; none where texels are copied.
     pub(crate) footprints: Vec<Option<Footprint>>,
@@ -85,7 +90,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             let start = (top - first) as usize * width;
             for (i, texel) in out.chunks_exact_mut(C).enumerate() {
                 if field.free[start + i] {
-                    self.sampler.shown.encode(field.values[start + i], texel);
+                    self.shown.encode(field.values[start + i], texel);
                 }
             }
         }
@@ -93,11 +98,16 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             let start = (top - first) as usize * width;
             for (i, texel) in out.chunks_exact(C).enumerate().filter(|(i, _)| states[*i] == state::RESAMPLED) {
                 let centre = DVec2::new((i % width) as f64 + 0.5, f64::from(top) + (i / width) as f64 + 0.5);
-                let Some(map) = self.maps.get(band.owner[start + i] as usize) else { continue };
+                let Some((map, source)) = self.maps.with_source(band.owner[start + i] as usize) else { continue };
+                // Only masks keep their coverage.
+                if !matches!(self.job.sources[source].alpha, Alpha::Mask(_)) {
+                    continue;
+                }
+                let sampler = &self.samplers[source];
                 counts.alphas[((texel[channel].value() * 255 + T::MAX / 2) / T::MAX) as usize & 255] += 1;
                 let shown = |offset: &&[f64; 2]| {
                     let point = map.apply(centre + DVec2::from(**offset));
-                    self.sampler.bilinear(point, self.sampler.shown)[channel] >= cutoff
+                    sampler.bilinear(point, self.shown)[channel] >= cutoff
                 };
                 counts.shown += POINTS.iter().filter(shown).count() as u64;
             }
@@ -129,21 +139,24 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         for Run { map, columns } in self.runs(owners) {
             let out = &mut line[columns.start * C..columns.end * C];
             let start = row * width + columns.start;
+            let sampler = &self.samplers[self.maps.source[map] as usize];
             match (&self.maps.all[map], &self.footprints[map]) {
-                (Map::Exact { turn, shift }, _) => self.copy(*turn, *shift, [columns.start as i64, y as i64], out),
+                (Map::Exact { turn, shift }, _) => {
+                    self.copy(sampler, *turn, *shift, [columns.start as i64, y as i64], out)
+                }
                 (_, None) => continue,
                 (affine, Some(footprint)) => {
                     for (i, texel) in out.chunks_exact_mut(C).enumerate() {
                         let centre = DVec2::new((columns.start + i) as f64 + 0.5, y as f64 + 0.5);
-                        let value = self.turned(affine, self.sampler.sample(affine.apply(centre), footprint));
-                        self.sampler.codec_of(footprint).encode(value, texel);
+                        let value = self.turned(affine, sampler.sample(affine.apply(centre), footprint));
+                        sampler.codec_of(footprint).encode(value, texel);
                         if let (Some(field), Footprint::Point) = (field.as_deref_mut(), footprint) {
                             field.free[start + i] = true;
                             if band.distance[start + i] == 0.0 {
                                 field.target_of[start + i] = field.targets.len() as u32;
                                 field.targets.push(POINTS.map(|offset| {
                                     let point = affine.apply(centre + DVec2::from(offset));
-                                    self.turned(affine, self.sampler.bilinear(point, self.sampler.shown))
+                                    self.turned(affine, sampler.bilinear(point, self.shown))
                                 }));
                             }
                             field.values[start + i] = value;
@@ -153,7 +166,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             }
             if let Some(field) = field.as_deref_mut() {
                 for (i, texel) in out.chunks_exact(C).enumerate().filter(|(i, _)| !field.free[start + i]) {
-                    field.values[start + i] = self.sampler.shown.decode(texel);
+                    field.values[start + i] = self.shown.decode(texel);
                 }
             }
         }
@@ -167,7 +180,9 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             let states = &mut states[columns];
             if self.footprints[map].is_none() {
                 states.fill(state::COPIED);
-                counts.copied += distance.iter().filter(|d| **d == 0.0).count() as u64;
+                if !self.job.sources[self.maps.source[map] as usize].neutral {
+                    counts.copied += distance.iter().filter(|d| **d == 0.0).count() as u64;
+                }
             } else {
                 for (s, d) in states.iter_mut().zip(distance) {
                     *s = if *d == 0.0 { state::RESAMPLED } else { state::RING_RESAMPLED };
@@ -179,15 +194,15 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
     /// A direction turns with its chart; other values stay.
     #[inline]
     fn turned(&self, map: &Map, mut value: [f32; C]) -> [f32; C] {
-        if let (Map::Affine { rotation, .. }, Space::Direction) = (map, self.sampler.codec.space) {
+        if let (Map::Affine { rotation, .. }, Space::Direction) = (map, self.codec.space) {
             turn_vector(rotation.to_cols_array().map(|v| v as f32), &mut value);
         }
         value
     }
 
     /// Copies a run of texels from `at` on.
-    fn copy(&self, turn: Turn, shift: [i64; 2], at: [i64; 2], out: &mut [T]) {
-        let (sampler, count) = (&self.sampler, (out.len() / C) as i64);
+    fn copy(&self, sampler: &Sampler<'_, T, C>, turn: Turn, shift: [i64; 2], at: [i64; 2], out: &mut [T]) {
+        let count = (out.len() / C) as i64;
         let axis = |k: usize| {
             let (a, b) = (i64::from(turn.x[k]), i64::from(turn.y[k]));
             // A centre at i + 1/2 that is mirrored about an integer lies one texel lower.

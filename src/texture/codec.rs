@@ -12,6 +12,8 @@ pub(crate) trait Depth: Copy + Default + Eq + Send + Sync + 'static {
     fn from_value(value: u32) -> Self;
     /// As an image holds them.
     fn samples(all: Vec<Self>) -> Samples;
+    /// The samples of an image, where they are of this type.
+    fn of(samples: &Samples) -> Option<&[Self]>;
 }
 
 impl Depth for u8 {
@@ -25,6 +27,9 @@ impl Depth for u8 {
     fn samples(all: Vec<Self>) -> Samples {
         Samples::U8(all)
     }
+    fn of(samples: &Samples) -> Option<&[Self]> {
+        if let Samples::U8(all) = samples { Some(all) } else { None }
+    }
 }
 
 impl Depth for u16 {
@@ -37,6 +42,9 @@ impl Depth for u16 {
     }
     fn samples(all: Vec<Self>) -> Samples {
         Samples::U16(all)
+    }
+    fn of(samples: &Samples) -> Option<&[Self]> {
+        if let Samples::U16(all) = samples { Some(all) } else { None }
     }
 }
 

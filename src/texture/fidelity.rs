@@ -6,8 +6,8 @@ use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::codec::Depth;
-use super::map::{Map, Maps};
-use super::{Bake, Baked, Image, Samples, Wrap};
+use super::map::{Map, Maps, source_scale};
+use super::{Bake, Baked, Image, Samples, Source, Wrap};
 use crate::atlas::{Charts, Topology};
 use crate::context::Context;
 use crate::error::{Failure, Result};
@@ -54,8 +54,9 @@ pub fn fidelity(job: &Bake<'_>, baked: &Baked, samples: u32, context: &Context) 
     let comparison = Comparison {
         job,
         pages: &baked.pages,
-        direction: job.slot.role.is_direction() && job.source.channels >= 3,
-        source_mip: Mip::new(job.source),
+        direction: job.slot.role.is_direction() && job.channels() >= 3,
+        source_mips: job.sources.iter().map(|s| Mip::new(s.image)).collect(),
+        scales: job.sources.iter().map(source_scale).collect(),
         page_mips: baked.pages.iter().map(Mip::new).collect(),
         maps: &maps,
     };
@@ -87,7 +88,7 @@ fn scatter(job: &Bake<'_>, maps: &Maps, samples: u32, seed: u64) -> Vec<Point> {
     let faces: Vec<(u32, f64)> = job
         .after
         .faces()
-        .filter(|f| maps.get(f.index()).is_some())
+        .filter(|f| maps.counts(f.index()))
         .map(|f| (f.0, job.after.area(f)))
         .filter(|(_, area)| area.is_finite() && *area > 0.0)
         .collect();
@@ -211,7 +212,10 @@ struct Comparison<'a> {
     job: &'a Bake<'a>,
     pages: &'a [Image],
     direction: bool,
-    source_mip: Mip,
+    /// By source.
+    source_mips: Vec<Mip>,
+    /// By source: its texels by reference texel.
+    scales: Vec<DVec2>,
     page_mips: Vec<Mip>,
     maps: &'a Maps,
 }
@@ -231,23 +235,24 @@ struct Sums {
 impl Comparison<'_> {
     fn add(&self, point: &Point, sums: &mut Sums) {
         let (job, f) = (self.job, point.face as usize);
-        let Some(map) = self.maps.get(f) else { return };
+        let Some((map, source)) = self.maps.with_source(f) else { return };
+        let read = &job.sources[source];
         let w = point.weights;
         let mix = |c: [DVec2; 3]| c[0] * w.x + c[1] * w.y + c[2] * w.z;
         let origin = &job.after.provenance[f];
         let b = origin.barycentric[0] * w.x + origin.barycentric[1] * w.y + origin.barycentric[2] * w.z;
         let [p0, p1, p2] = job.before.uv_triangle(origin.source);
-        let reference = job.reference.map(|n| f64::from(n.max(1)));
-        let old_uv = (p0 * b.x + p1 * b.y + p2 * b.z) / DVec2::from(reference);
+        let size = DVec2::new(f64::from(read.image.width), f64::from(read.image.height));
+        let old_uv = (p0 * b.x + p1 * b.y + p2 * b.z - read.place) * self.scales[source] / size;
         let page = usize::from(job.after.page[f]);
         let sheet = job.after.sheets[page].map(|n| f64::from(n.max(1)));
         let new_uv = mix(job.after.corners[f].map(|c| job.after.uv[c.index()])) / DVec2::from(sheet);
         let clamp = [Wrap::ClampToEdge; 2];
-        let channels = usize::from(job.source.channels);
+        let channels = usize::from(job.channels());
 
-        let old = self.turned(job.source.bilinear(old_uv, job.slot.wrap), map);
+        let old = self.turned(read.image.bilinear(old_uv, read.wrap), map);
         let new = self.pages[page].bilinear(new_uv, clamp);
-        let mip_old = self.turned(self.source_mip.bilinear(old_uv, job.slot.wrap), map);
+        let mip_old = self.turned(self.source_mips[source].bilinear(old_uv, read.wrap), map);
         let mip_new = self.page_mips[page].bilinear(new_uv, clamp);
         let mut mip = 0.0f64;
         for c in 0..channels {
@@ -260,7 +265,7 @@ impl Comparison<'_> {
         sums.mip_sum += mip;
         sums.mip_max = sums.mip_max.max(mip);
         sums.samples += 1;
-        sums.exact += u32::from(self.is_exact(map, page, mix(self.maps.corners[f])));
+        sums.exact += u32::from(self.is_exact(map, read, page, mix(self.maps.corners[f])));
         if self.direction {
             let vector = |v: [f64; 4]| DVec3::new(v[0], v[1], v[2]) * 2.0 - 1.0;
             let (a, b) = (vector(old), vector(new));
@@ -280,8 +285,8 @@ impl Comparison<'_> {
     }
 
     /// Whether the texels that bilinear filtering reads at a point of a page are the uploaded ones.
-    fn is_exact(&self, map: &Map, page: usize, point: DVec2) -> bool {
-        let (source, image) = (self.job.source, &self.pages[page]);
+    fn is_exact(&self, map: &Map, from: &Source<'_>, page: usize, point: DVec2) -> bool {
+        let (source, image) = (from.image, &self.pages[page]);
         let base = (point - 0.5).floor();
         let t = point - 0.5 - base;
         let read = |t: f64| [(0, 1.0 - t), (1, t)].into_iter().filter(|(_, w)| *w > WEIGHT).map(|(d, _)| d);
@@ -292,18 +297,18 @@ impl Comparison<'_> {
         let texels = read(t.y).flat_map(|dy| read(t.x).map(move |dx| base + DVec2::new(dx as f64, dy as f64) + 0.5));
         match map {
             Map::Exact { .. } => texels.into_iter().all(|texel| {
-                let old = self.turned(at(source, map.apply(texel), self.job.slot.wrap), map);
+                let old = self.turned(at(source, map.apply(texel), from.wrap), map);
                 let new = at(image, texel, [Wrap::ClampToEdge; 2]);
                 // Turning a number and turning its code differ by rounding of the double only.
                 old.iter().zip(new).all(|(a, b)| (a - b).abs() < 1e-9)
             }),
             // Resampled texels are equal only where nothing changes.
             Map::Affine { .. } => {
-                let from = (map.apply(point) - 0.5).floor() + 0.5;
-                let old = at(source, from, self.job.slot.wrap);
+                let base = (map.apply(point) - 0.5).floor() + 0.5;
+                let old = at(source, base, from.wrap);
                 let same = |v: [f64; 4]| self.turned(v, map).iter().zip(self.turned(old, map)).all(|(a, b)| *a == b);
                 let offsets = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
-                let flat = offsets.iter().all(|(x, y)| same(at(source, from + DVec2::new(*x, *y), self.job.slot.wrap)));
+                let flat = offsets.iter().all(|(x, y)| same(at(source, base + DVec2::new(*x, *y), from.wrap)));
                 flat && texels.into_iter().all(|p| {
                     at(image, p, [Wrap::ClampToEdge; 2]).iter().zip(self.turned(old, map)).all(|(a, b)| *a == b)
                 })

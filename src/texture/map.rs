@@ -3,7 +3,7 @@
 use glam::{DMat2, DVec2};
 
 use super::direction::{Turn, nearest_orthogonal};
-use super::{Bake, page_size};
+use super::{Bake, Source, page_size};
 use crate::atlas::{Atlas, Charts, FaceId};
 use crate::error::{Failure, Result};
 
@@ -59,6 +59,10 @@ impl Map {
 pub(crate) struct Maps {
     /// Distinct maps.
     pub(crate) all: Vec<Map>,
+    /// By map: the source that it leads to.
+    pub(crate) source: Vec<u32>,
+    /// By source: whether it only fills.
+    neutral: Vec<bool>,
     /// Index into `all` by face, or [`Maps::NONE`] for a face that does not read the slot (or has no place on a sheet).
     pub(crate) of_face: Vec<u32>,
     /// Corners of each face on its page, in texels of the slot.
@@ -74,9 +78,16 @@ impl Maps {
         let after = job.after;
         let count = after.face_count();
         let mut builder = Builder {
-            maps: Maps { all: Vec::new(), of_face: vec![Maps::NONE; count], corners: vec![[DVec2::ZERO; 3]; count] },
+            maps: Maps {
+                all: Vec::new(),
+                source: Vec::new(),
+                neutral: job.sources.iter().map(|s| s.neutral).collect(),
+                of_face: vec![Maps::NONE; count],
+                corners: vec![[DVec2::ZERO; 3]; count],
+            },
             source: vec![[DVec2::ZERO; 3]; count],
-            to_reference: source_scale(job).recip(),
+            source_of: vec![0; count],
+            to_reference: job.sources.iter().map(|s| source_scale(s).recip()).collect(),
             sheet_scale: (0..after.sheets.len()).map(|p| sheet_scale(job, p)).collect(),
             after,
         };
@@ -91,12 +102,23 @@ impl Maps {
     pub(crate) fn get(&self, face: usize) -> Option<&Map> {
         self.all.get(*self.of_face.get(face)? as usize)
     }
+
+    /// The map of a face that reads the slot, and the source that it leads to.
+    pub(crate) fn with_source(&self, face: usize) -> Option<(&Map, usize)> {
+        let map = *self.of_face.get(face)? as usize;
+        Some((self.all.get(map)?, *self.source.get(map)? as usize))
+    }
+
+    /// Whether a face reads the slot, and not only has its place filled.
+    pub(crate) fn counts(&self, face: usize) -> bool {
+        self.with_source(face).is_some_and(|(_, source)| !self.neutral[source])
+    }
 }
 
-/// Texels of the uploaded image by texels of the reference sheet.
-fn source_scale(job: &Bake<'_>) -> DVec2 {
-    let size = DVec2::new(f64::from(job.source.width), f64::from(job.source.height));
-    size / DVec2::new(f64::from(job.reference[0].max(1)), f64::from(job.reference[1].max(1)))
+/// Texels of an uploaded image by texels of the reference sheet.
+pub(crate) fn source_scale(source: &Source<'_>) -> DVec2 {
+    let size = DVec2::new(f64::from(source.image.width), f64::from(source.image.height));
+    size / DVec2::new(f64::from(source.sheet[0].max(1)), f64::from(source.sheet[1].max(1)))
 }
 
 /// Texels of the slot's page by texels of its sheet, as a renderer will see it.
@@ -110,7 +132,10 @@ struct Builder<'a> {
     maps: Maps,
     /// Corners on the uploaded image.
     source: Vec<[DVec2; 3]>,
-    to_reference: DVec2,
+    /// Index of that image, by face.
+    source_of: Vec<u32>,
+    /// By source.
+    to_reference: Vec<DVec2>,
     sheet_scale: Vec<DVec2>,
     after: &'a Atlas,
 }
@@ -118,22 +143,22 @@ struct Builder<'a> {
 impl Builder<'_> {
     /// Corners on both sides, for faces that read the slot.
     fn place(&mut self, job: &Bake<'_>) -> Result<()> {
-        let reads = primitive_mask(&job.slot.primitives);
-        let scale = source_scale(job);
+        let reads = source_by_primitive(&job.sources);
+        let scale: Vec<DVec2> = job.sources.iter().map(source_scale).collect();
         let foreign = || Failure::internal("the refined atlas does not come from the uploaded one");
         for face in self.after.faces() {
             let f = face.index();
             let (Some(origin), Some(&page)) = (self.after.provenance.get(f), self.after.page.get(f)) else {
                 return Err(foreign());
             };
-            if !reads.get(origin.primitive as usize).copied().unwrap_or(false) {
-                continue;
-            }
+            let Some(source) = reads.get(origin.primitive as usize).copied().flatten() else { continue };
             if origin.source.index() >= job.before.face_count() {
                 return Err(foreign());
             }
             let sheet = self.sheet_scale.get(usize::from(page)).copied().ok_or_else(foreign)?;
-            let [a, b, c] = job.before.uv_triangle(origin.source).map(|uv| uv * scale);
+            let (place, scale) = (job.sources[source as usize].place, scale[source as usize]);
+            let [a, b, c] = job.before.uv_triangle(origin.source).map(|uv| (uv - place) * scale);
+            self.source_of[f] = source;
             self.source[f] = origin.barycentric.map(|w| a * w.x + b * w.y + c * w.z);
             self.maps.corners[f] = self.after.uv_triangle(face).map(|uv| uv * sheet);
             let near = |p: &DVec2| p.abs().max_element() < FARTHEST;
@@ -161,12 +186,14 @@ impl Builder<'_> {
         let first = self.maps.all.len();
         let mut exact: Vec<u32> = Vec::new();
         for (_, f) in order {
+            let source = self.source_of[f];
             let known = exact.iter().rev().take(TRIED).copied().find(|m| match self.maps.all[*m as usize] {
-                Map::Exact { turn, shift } => self.fits(f, turn, shift),
+                Map::Exact { turn, shift } => self.maps.source[*m as usize] == source && self.fits(f, turn, shift),
                 Map::Affine { .. } => false,
             });
             let map = known.unwrap_or_else(|| {
                 let index = self.maps.all.len() as u32;
+                self.maps.source.push(source);
                 if let Some(map) = self.exact(f) {
                     exact.push(index);
                     self.maps.all.push(map);
@@ -213,20 +240,24 @@ impl Builder<'_> {
         };
         // Reference texels to reference texels: axes of equal units, in which angles mean what they say.
         let page = usize::from(self.after.page[f]);
-        let in_reference =
-            DMat2::from_diagonal(self.to_reference) * linear * DMat2::from_diagonal(self.sheet_scale[page]);
+        let in_reference = DMat2::from_diagonal(self.to_reference[self.source_of[f] as usize])
+            * linear
+            * DMat2::from_diagonal(self.sheet_scale[page]);
         let rotation = nearest_orthogonal(in_reference);
         Map::Affine { linear, shift: p[longest.0] - linear * q[longest.0], rotation }
     }
 }
 
-/// Which primitives, by index, read the slot.
-fn primitive_mask(primitives: &[u32]) -> Vec<bool> {
-    let mut mask = vec![false; primitives.iter().max().map_or(0, |m| *m as usize + 1)];
-    for p in primitives {
-        mask[*p as usize] = true;
+/// The source that each primitive reads the slot from.
+fn source_by_primitive(sources: &[Source<'_>]) -> Vec<Option<u32>> {
+    let primitives = sources.iter().flat_map(|s| s.primitives);
+    let mut table = vec![None; primitives.max().map_or(0, |m| *m as usize + 1)];
+    for (i, source) in sources.iter().enumerate() {
+        for p in source.primitives {
+            table[*p as usize] = Some(i as u32);
+        }
     }
-    mask
+    table
 }
 
 /// The similarity, mirrored or not, that takes `from` to `to`.

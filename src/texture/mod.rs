@@ -14,8 +14,9 @@ mod fill;
 mod map;
 mod refit;
 mod sample;
+mod widen;
 
-pub use bake::{Bake, Baked, bake, page_size};
+pub use bake::{Bake, Baked, Source, bake, page_size};
 pub use decode::{decode, header};
 pub use encode::encode;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};

@@ -70,7 +70,7 @@ fn scans_stay_exact_when_moved_by_whole_texels_and_close_under_any_turn() {
         let reference = [image.width, image.height];
         for angle in [std::f64::consts::FRAC_PI_2, 0.5] {
             let after = turned(&before, angle);
-            let job = Bake { before: &before, after: &after, reference, slot: &slot, source: &image, bleed: 8 };
+            let job = Bake::single(&before, &after, reference, &slot, &image, 8);
             let context = Context::silent();
             let started = Instant::now();
             let baked = bake(&job, &context).unwrap();

@@ -65,7 +65,7 @@ impl Charts {
     }
 
     fn bake<'a>(&'a self, slot: &'a Slot, source: &'a Image) -> Bake<'a> {
-        Bake { before: &self.before, after: &self.after, reference: self.reference, slot, source, bleed: 8 }
+        Bake::single(&self.before, &self.after, self.reference, slot, source, 8)
     }
 }
 
@@ -330,9 +330,9 @@ fn what_makes_no_sense_is_left_out_or_refused() {
 
     let mut foreign = charts.after.clone();
     foreign.provenance[0].source = FaceId(999);
-    assert!(bake(&Bake { after: &foreign, ..job }, &Context::silent()).is_err());
+    assert!(bake(&Bake { after: &foreign, ..job.clone() }, &Context::silent()).is_err());
     let short = Image { height: 17, ..image.clone() };
-    assert!(bake(&Bake { source: &short, ..job }, &Context::silent()).is_err());
+    assert!(bake(&charts.bake(&slot, &short), &Context::silent()).is_err());
     let cancel = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
     let canceled = Context::new(std::sync::Arc::new(crate::context::Silent), cancel, 0);
     assert_eq!(bake(&job, &canceled).unwrap_err().code, crate::error::Code::Canceled);

@@ -54,6 +54,9 @@ pub struct BakedImage {
     pub format: Format,
     /// The file.
     pub bytes: Vec<u8>,
+    /// A name that sets which share an Atlas give the same image: it stands once in the document, and beside it, when it
+    /// is saved with side files, under this name.
+    pub shared: Option<String>,
 }
 
 /// Writes refined sets into a copy of the document that they were read from.
@@ -92,6 +95,7 @@ pub fn write(doc: &Document, sets: &[Refined<'_>], context: &Context) -> Result<
             set_materials(doc, &mut out, &mut textures, &target, owner, usize::from(page), primitive.uv_set)?;
         }
     }
+    textures.drop_replaced(&mut out);
     Ok(out)
 }
 

@@ -27,7 +27,15 @@ fn shift(x: f64, y: f64) -> (DAffine2, u16) {
 
 fn baked(set: &TextureSet, pages: usize) -> Vec<BakedImage> {
     let slots = (0..set.slots.len()).flat_map(|slot| (0..pages).map(move |page| (slot, page)));
-    slots.map(|(slot, page)| BakedImage { slot, page, format: Format::Png, bytes: png(3, page as u32 + 1) }).collect()
+    slots
+        .map(|(slot, page)| BakedImage {
+            slot,
+            page,
+            format: Format::Png,
+            bytes: png(3, page as u32 + 1),
+            shared: None,
+        })
+        .collect()
 }
 
 /// Writes one set, saves and loads it.

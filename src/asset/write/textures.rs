@@ -26,6 +26,10 @@ pub(super) struct Textures<'a> {
     foreign_images: Vec<bool>,
     /// Image by (set, slot, page).
     images: BTreeMap<(usize, usize, usize), usize>,
+    /// Image by the name that several sets give it.
+    shared: BTreeMap<String, usize>,
+    /// Images in whose place another set's stands.
+    replaced: Vec<usize>,
     /// Texture by (texture, page).
     textures: BTreeMap<(usize, usize), usize>,
     /// CLAMP_TO_EDGE sampler by the one that it replaces.
@@ -67,6 +71,8 @@ impl<'a> Textures<'a> {
             foreign_textures: vec![false; scan.textures.len()],
             foreign_images: vec![false; images],
             images: BTreeMap::new(),
+            shared: BTreeMap::new(),
+            replaced: Vec::new(),
             textures: BTreeMap::new(),
             samplers: BTreeMap::new(),
             materials: BTreeMap::new(),
@@ -110,12 +116,51 @@ impl<'a> Textures<'a> {
                             Failure::internal(format!("slot {} of page {page} was not baked", slot.name))
                         })?;
                     let foreign = self.foreign_images.get(slot.image).copied().unwrap_or(true);
-                    let image = place(out, slot.image, baked, page == 0 && !foreign);
+                    let known = baked.shared.as_ref().and_then(|name| self.shared.get(name).copied());
+                    if known.is_some() && page == 0 && !foreign {
+                        self.replaced.push(slot.image);
+                    }
+                    let image = known.unwrap_or_else(|| place(out, slot.image, baked, page == 0 && !foreign));
+                    if let Some(name) = &baked.shared {
+                        self.shared.insert(name.clone(), image);
+                    }
                     self.images.insert((s, i, page), image);
                 }
             }
         }
         Ok(())
+    }
+
+    /// Takes out the images that the image of another set stands for, where every reader of their indices is known.
+    pub(super) fn drop_replaced(&mut self, out: &mut Document) {
+        let textures = out.json.get("textures").and_then(Value::as_array);
+        let read: Vec<u64> = textures.into_iter().flatten().filter_map(|t| t.get("source")?.as_u64()).collect();
+        // A texture that no material reads keeps its image.
+        self.replaced.retain(|r| !read.contains(&(*r as u64)));
+        self.replaced.sort_unstable();
+        self.replaced.dedup();
+        if !self.scan.understood || self.replaced.is_empty() {
+            return;
+        }
+        let replaced = &self.replaced;
+        let gone = |image: usize| replaced.binary_search(&image).is_ok();
+        if let Some(images) = out.json.get_mut("images").and_then(Value::as_array_mut) {
+            let mut index = 0;
+            images.retain(|_| {
+                index += 1;
+                !gone(index - 1)
+            });
+        }
+        let mut index = 0;
+        out.images.retain(|_| {
+            index += 1;
+            !gone(index - 1)
+        });
+        for texture in out.json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
+            let Some(source) = texture.get("source").and_then(Value::as_u64) else { continue };
+            let before = replaced.partition_point(|r| (*r as u64) < source);
+            texture["source"] = Value::from(source - before as u64);
+        }
     }
 
     /// The material that stands for `material` on a page, reading TEXCOORD_`uv_set`, for a primitive of set
@@ -221,6 +266,11 @@ fn place(out: &mut Document, index: usize, baked: &BakedImage, in_place: bool) -
         number = out.push("images", clone);
     }
     out.set_image(number, baked.bytes.clone(), baked.format.media_type());
+    if let Some(name) = &baked.shared
+        && let Some(image) = out.json.pointer_mut(&format!("/images/{number}")).and_then(Value::as_object_mut)
+    {
+        image.insert("uri".to_owned(), Value::from(name.as_str()));
+    }
     number
 }
 

@@ -1,0 +1,157 @@
+//! From uploaded files to models and the groups of texture sets that are refined together.
+
+use std::collections::BTreeSet;
+
+use super::group::{Group, can_join};
+use super::importance::{Importance, Subject, importances};
+use super::options::Options;
+use super::run::Input;
+use super::textures::exempt_uniform;
+use crate::asset::{self, Document, File, TextureSet};
+use crate::context::Context;
+use crate::error::{Code, Failure, Result, Warning};
+
+/// The models as they came in.
+pub(super) struct Loaded {
+    /// In the order of the input; at least one.
+    pub models: Vec<Model>,
+    /// The texture sets, each by itself or joined with others.
+    pub groups: Vec<Group>,
+    /// Bytes of all files.
+    pub bytes: u64,
+}
+
+/// One model.
+pub(super) struct Model {
+    /// The document as read.
+    pub doc: Document,
+    /// Bytes of its files; files that several models come with count for each.
+    pub bytes: u64,
+    /// What it is called in warnings, where there are several.
+    pub label: Option<String>,
+}
+
+impl Loaded {
+    /// Sets the model that warnings are about.
+    pub fn speak_of(&self, model: usize, context: &Context) {
+        context.speak_of(self.models.get(model).and_then(|m| m.label.as_deref()));
+    }
+}
+
+/// Reads the models. With `join`, the texture sets of several models become one group where they can.
+///
+/// # Errors
+/// Those of the input, with the model's name where there are several; `nothing_to_refine` where no model has anything to
+/// refine; those of `importance`.
+pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Context) -> Result<Loaded> {
+    if input.models.is_empty() {
+        return Err(Failure::new(Code::InvalidRequest, "there is no model"));
+    }
+    let count = input.models.len();
+    let mut loaded = Loaded { models: Vec::new(), groups: Vec::new(), bytes: total_bytes(&input.models) };
+    let mut sets: Vec<(usize, TextureSet)> = Vec::new();
+    for (index, files) in input.models.iter().enumerate() {
+        let label = (count > 1).then(|| label(&input.models, index));
+        context.speak_of(label.as_deref());
+        let own = read(files, count, input, options, context).map_err(|mut failure| {
+            if let Some(label) = label.as_ref().filter(|_| failure.code != Code::Canceled) {
+                failure.message = format!("{label}: {}", failure.message);
+            }
+            failure
+        });
+        let (doc, own) = own?;
+        sets.extend(own.into_iter().map(|set| (index, set)));
+        let bytes = files.iter().map(|f| f.bytes.len() as u64).sum();
+        loaded.models.push(Model { doc, bytes, label });
+        context.step(0.9 * (index + 1) as f64 / count as f64, "reading models")?;
+    }
+    context.speak_of(None);
+    if sets.is_empty() && context.warnings().is_empty() {
+        let message = "the model has no triangles with texture coordinates that could be refined";
+        return Err(Failure::new(Code::NothingToRefine, message));
+    }
+    let weights = match &options.importance {
+        Some(source) => {
+            let subjects: Vec<Subject<'_>> = sets
+                .iter()
+                .map(|(model, set)| Subject { doc: &loaded.models[*model].doc, files: &input.models[*model], set })
+                .collect();
+            importances(source, &subjects, &input.limits, context)?.into_iter().map(Some).collect()
+        }
+        None => vec![None; sets.len()],
+    };
+    let join = join && count > 1;
+    for (model, set) in sets.iter().filter(|(_, set)| join && !can_join(set)) {
+        loaded.speak_of(*model, context);
+        let text = format!("the charts of {} spread too far for a shared sheet: it keeps its own atlas", set.name);
+        context.warn(Warning::new("not_joined", text));
+    }
+    loaded.groups = groups(sets, weights, join);
+    for group in &loaded.groups {
+        for (model, warning) in group.warnings() {
+            loaded.speak_of(model, context);
+            context.warn(warning);
+        }
+    }
+    context.speak_of(None);
+    Ok(loaded)
+}
+
+/// What a model of several is called: its file, where that tells it from the others.
+fn label(models: &[Vec<File>], index: usize) -> String {
+    let name = |files: &Vec<File>| files.first().map(|f| f.path.clone());
+    let own = models.get(index).and_then(name);
+    let alike = models.iter().filter(|files| name(files) == own).count();
+    own.filter(|_| alike == 1).unwrap_or_else(|| format!("model {index}"))
+}
+
+fn read(
+    files: &[File],
+    count: usize,
+    input: &Input,
+    options: &Options,
+    context: &Context,
+) -> Result<(Document, Vec<TextureSet>)> {
+    // Files that come with several models may be models themselves: the first is this one.
+    let main = files.first().filter(|_| count > 1).map(|f| f.path.as_str());
+    let (doc, warnings) = asset::load(files, main, &input.limits)?;
+    for warning in warnings {
+        context.warn(warning);
+    }
+    let mut sets = asset::read(&doc, &options.atlas, context)?;
+    for set in &mut sets {
+        exempt_uniform(&doc, set, input.limits.max_image_pixels, context)?;
+    }
+    Ok((doc, sets))
+}
+
+/// Files that several models come with count once.
+fn total_bytes(models: &[Vec<File>]) -> u64 {
+    let mut seen = BTreeSet::new();
+    let all = models.iter().flatten();
+    all.filter(|f| seen.insert((f.path.as_str(), f.bytes.len()))).map(|f| f.bytes.len() as u64).sum()
+}
+
+/// Each set by itself; or all with images in one group, and all without in another.
+fn groups(sets: Vec<(usize, TextureSet)>, weights: Vec<Option<Importance>>, join: bool) -> Vec<Group> {
+    type Part = (usize, TextureSet, Option<Importance>);
+    let mut parts: Vec<Vec<Part>> = Vec::new();
+    // Where the sets with and without images go.
+    let mut places: [Option<usize>; 2] = [None; 2];
+    for ((model, set), weight) in sets.into_iter().zip(weights) {
+        let place = &mut places[usize::from(set.slots.is_empty())];
+        let joins = join && can_join(&set);
+        let index = if joins { *place.get_or_insert(parts.len()) } else { parts.len() };
+        if index == parts.len() {
+            parts.push(Vec::new());
+        }
+        parts[index].push((model, set, weight));
+    }
+    let group = |(id, part): (usize, Vec<Part>)| {
+        let weights: Option<Vec<Importance>> = part.iter().map(|(_, _, w)| w.clone()).collect();
+        let mut group = Group::new(id, part.into_iter().map(|(model, set, _)| (model, set)).collect());
+        group.importance = weights.map(|w| Importance::join(&w));
+        group
+    };
+    parts.into_iter().enumerate().map(group).collect()
+}
