@@ -6,10 +6,19 @@ use crate::atlas::{Atlas, Charts, Topology};
 use crate::context::Context;
 use crate::error::Result;
 
+/// What the usual method does with regions that lie over each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outlines {
+    /// Each becomes a chart: the chart is segmented along all outlines.
+    All,
+    /// The largest stays with the rest of the chart, if it can; the others become charts. The most lenient reading.
+    AllButOne,
+}
+
 /// Cuts charts that overlap themselves along the outlines of the overlapping regions: the triangles that overlap others form
-/// regions, bounded by the edges nearest to where the border of one sheet falls on the other; of sheets that lie over each other
-/// all but one become charts of their own. A region that overlaps itself is grown apart. For tests and benchmarks only.
-pub fn remove_overlaps_along_outlines(atlas: &Atlas, context: &Context) -> Result<Atlas> {
+/// regions, bounded by the edges nearest to where the border of one sheet falls on the other, and
+/// become charts of their own. A region that overlaps itself is grown apart. For tests and benchmarks only.
+pub fn remove_overlaps_along_outlines(atlas: &Atlas, outlines: Outlines, context: &Context) -> Result<Atlas> {
     let topology = Topology::new(atlas);
     let charts = Charts::new(&topology);
     let scale = Scale::new(atlas, &topology, None);
@@ -33,7 +42,7 @@ pub fn remove_overlaps_along_outlines(atlas: &Atlas, context: &Context) -> Resul
         for region in regions {
             let own = |v: u32| region.binary_search(&v).is_ok();
             let meets = |label: &[u32], v: u32| graph.conflicts(v).iter().any(|&u| label[u as usize] == 0 || own(u));
-            if !region.iter().any(|&v| meets(&label, v)) {
+            if outlines == Outlines::AllButOne && !region.iter().any(|&v| meets(&label, v)) {
                 region.iter().for_each(|&v| label[v as usize] = 0);
                 continue;
             }

@@ -176,7 +176,10 @@ pub(crate) fn build(scale: &Scale, faces: &[FaceId], pairs: &[(u32, u32)], bias:
     for (i, f) in faces.iter().enumerate() {
         for h in (3 * f.0)..(3 * f.0 + 3) {
             let twin = scale.topology.uv_twin[h as usize];
-            if twin != NONE && twin > h && let Some(j) = local(twin / 3) {
+            if twin != NONE
+                && twin > h
+                && let Some(j) = local(twin / 3)
+            {
                 near.push((i as u32, j, scale.of(h)));
             }
         }

@@ -48,9 +48,9 @@ pub(crate) fn contract(graph: &Graph, partition: &mut Partition, work: &mut u64,
         }
         let (few, many) = if degrees[a as usize] <= degrees[b as usize] { (a, b) } else { (b, a) };
         *work += degrees[few as usize] + 1;
-        let clash = partition.members[few as usize].iter().any(|&v| {
-            graph.conflicts(v).iter().any(|&u| find(&mut root, partition.label[u as usize]) == many)
-        });
+        let clash = partition.members[few as usize]
+            .iter()
+            .any(|&v| graph.conflicts(v).iter().any(|&u| find(&mut root, partition.label[u as usize]) == many));
         if clash {
             for (x, y) in [(a, b), (b, a)] {
                 if let Some(link) = links[x as usize].get_mut(&y) {

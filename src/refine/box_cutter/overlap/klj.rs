@@ -145,9 +145,11 @@ impl Chains {
             }
             let near = graph.near.neighbours(v).chain(graph.bias.neighbours(v)).map(|n| n.0);
             // Whom v kept away may now follow.
-            let freed = graph.conflicts(v).iter().copied().filter(|&u| {
-                graph.near.neighbours(u).any(|(w, _)| label[w as usize] == from)
-            });
+            let freed = graph
+                .conflicts(v)
+                .iter()
+                .copied()
+                .filter(|&u| graph.near.neighbours(u).any(|(w, _)| label[w as usize] == from));
             for w in near.chain(freed) {
                 let own = label[w as usize];
                 if !self.moved[w as usize] && (own == a || own == b) {

@@ -20,13 +20,15 @@ mod split;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
 use self::graph::{Graph, Scale};
 use self::partition::Partition;
 use super::weld;
 use crate::atlas::seams::{border_length, uv_length};
-use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, NONE, Topology};
+use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, NONE, Topology, UvId, VertexId};
 use crate::context::Context;
 use crate::error::Result;
 
@@ -34,8 +36,8 @@ use crate::error::Result;
 /// graph. A chart with more is grown apart instead.
 const PAIR_LIMIT: usize = 12_000_000;
 /// Edges and overlaps that the search for one chart may look at: this many, and more for large charts.
-const WORK: u64 = 60_000_000;
-const WORK_PER_NODE: u64 = 3_000;
+const WORK: u64 = 50_000_000;
+const WORK_PER_NODE: u64 = 1_500;
 /// Charts are tested and cut again at most this often; growing apart leaves nothing to the second round.
 const ROUNDS: usize = 4;
 
@@ -66,6 +68,15 @@ pub(crate) enum Bias {
     Trial,
 }
 
+/// How the multicut is looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Method {
+    /// Greedy contraction, then Kernighan-Lin with joins: the paper and nothing else.
+    Published,
+    /// The best of several starts, with exact cuts between pairs of clusters and neighbourhoods split anew.
+    Best,
+}
+
 /// Cuts every chart that overlaps itself, and for which `touchable` holds, into charts that do not (Box Cutter, section 4.1).
 /// `weight` makes cutting an edge dearer or cheaper (importance; 1 is neutral).
 pub(crate) fn remove_overlaps(
@@ -74,20 +85,19 @@ pub(crate) fn remove_overlaps(
     weight: Option<&(dyn Fn(HalfEdge) -> f64 + Sync)>,
     context: &Context,
 ) -> Result<Removed> {
-    remove_overlaps_with(atlas, touchable, weight, Bias::Trial, context)
+    remove_overlaps_with(atlas, touchable, weight, (Bias::Trial, Method::Best), context)
 }
 
-/// [`remove_overlaps`] with a choice of bias.
+/// [`remove_overlaps`] with a choice of bias and method.
 pub(crate) fn remove_overlaps_with(
     atlas: &Atlas,
     touchable: &(dyn Fn(ChartId) -> bool + Sync),
     weight: Option<&(dyn Fn(HalfEdge) -> f64 + Sync)>,
-    bias: Bias,
+    (bias, method): (Bias, Method),
     context: &Context,
 ) -> Result<Removed> {
     let before = border_length(atlas, &Topology::new(atlas));
-    let mut removed =
-        Removed { atlas: atlas.clone(), cut_length: 0.0, charts_touched: 0, work: 0, cut_short: false };
+    let mut removed = Removed { atlas: atlas.clone(), cut_length: 0.0, charts_touched: 0, work: 0, cut_short: false };
     // Faces that may be cut: parts of touchable charts.
     let mut open: Option<Vec<bool>> = None;
     for round in 0..ROUNDS {
@@ -103,7 +113,7 @@ pub(crate) fn remove_overlaps_with(
             removed.charts_touched = found.len();
         }
         let scale = Scale::new(&removed.atlas, &topology, weight);
-        let labels = solve_all(&scale, &charts, &found, if round == 0 { bias } else { Bias::Off }, context)?;
+        let labels = solve_all(&scale, &charts, &found, (if round == 0 { bias } else { Bias::Off }, method), context)?;
         let mut of_face = vec![0u32; removed.atlas.face_count()];
         for ((chart, _), solved) in found.iter().zip(labels) {
             removed.work += solved.work;
@@ -137,28 +147,28 @@ fn cut_by_label(atlas: &Atlas, topology: &Topology, label: &[u32]) -> Atlas {
     if parted.crowded.len() == topology.crowded.len() {
         return atlas.cut_along(topology, &cuts);
     }
-    // Crowded faces meet at a border, where nothing is cut: their vertices are doubled face by face where labels differ.
+    // Crowded faces meet at a border, where nothing is cut: their vertices become one for each label.
     let mut next = atlas.cut_along(&parted, &cuts);
+    let mut shared = vec![false; next.uv.len()];
     for pair in topology.crowded.iter().filter(|p| differ(p[0].index(), p[1].index())) {
-        separate(&mut next, label, pair[0], pair[1]);
+        let corners = pair.iter().flat_map(|f| next.corners[f.index()]);
+        corners.for_each(|c| shared[c.index()] = true);
+    }
+    let mut copies: BTreeMap<(UvId, u32), UvId> = BTreeMap::new();
+    let mut named = vec![false; shared.len()];
+    for (corners, &label) in next.corners.iter_mut().zip(label) {
+        for corner in corners.iter_mut().filter(|c| c.index() < shared.len() && shared[c.index()]) {
+            let old = *corner;
+            *corner = *copies.entry((old, label)).or_insert_with(|| {
+                if !std::mem::replace(&mut named[old.index()], true) {
+                    return old;
+                }
+                next.uv.push(next.uv[old.index()]);
+                UvId::new(next.uv.len() - 1)
+            });
+        }
     }
     next
-}
-
-/// Gives the faces that share UV vertices with `a` under the label of `b` their own copies of these vertices.
-fn separate(atlas: &mut Atlas, label: &[u32], a: FaceId, b: FaceId) {
-    for corner in atlas.corners[b.index()] {
-        if !atlas.corners[a.index()].contains(&corner) {
-            continue;
-        }
-        let copy = crate::atlas::UvId::new(atlas.uv.len());
-        atlas.uv.push(atlas.uv[corner.index()]);
-        for (face, corners) in atlas.corners.iter_mut().enumerate() {
-            if label[face] == label[b.index()] {
-                corners.iter_mut().filter(|c| **c == corner).for_each(|c| *c = copy);
-            }
-        }
-    }
 }
 
 /// The charts among `wanted` that overlap themselves, with the number of pairs (`None`: too many to list).
@@ -183,7 +193,7 @@ fn solve_all(
     scale: &Scale,
     charts: &Charts,
     found: &[(ChartId, Option<usize>)],
-    bias: Bias,
+    (bias, method): (Bias, Method),
     context: &Context,
 ) -> Result<Vec<solve::Solved>> {
     let mut edges: Vec<Vec<(u32, u32, i64)>> = vec![Vec::new(); charts.len()];
@@ -210,7 +220,7 @@ fn solve_all(
         let solved: Vec<Result<solve::Solved>> = now
             .par_iter()
             .map(|&(chart, count)| {
-                solve_chart(scale, &charts.faces[chart.index()], count, &edges[chart.index()], bias, context)
+                solve_chart(scale, &charts.faces[chart.index()], count, &edges[chart.index()], (bias, method), context)
             })
             .collect();
         for one in solved {
@@ -225,7 +235,7 @@ fn solve_chart(
     faces: &[FaceId],
     pairs: Option<usize>,
     bias_edges: &[(u32, u32, i64)],
-    bias: Bias,
+    (bias, method): (Bias, Method),
     context: &Context,
 ) -> Result<solve::Solved> {
     if pairs.is_none() {
@@ -237,12 +247,16 @@ fn solve_chart(
     let list = graph::list_pairs(scale.atlas, faces);
     let graph = graph::build(scale, faces, &list, bias_edges);
     drop(list);
+    let solve = match method {
+        Method::Published => solve::solve_as_published,
+        Method::Best => solve::solve,
+    };
     let limit = WORK.max(WORK_PER_NODE * faces.len() as u64);
     if !graph.has_bias() || bias != Bias::Trial {
-        return solve::solve(&graph, limit, context);
+        return solve(&graph, limit, context);
     }
-    let plain = solve::solve(&graph.without_bias(), limit, context)?;
-    let biased = solve::solve(&graph, limit, context)?;
+    let plain = solve(&graph.without_bias(), limit, context)?;
+    let biased = solve(&graph, limit, context)?;
     let work = plain.work + biased.work;
     let cut_short = plain.cut_short || biased.cut_short;
     let trial = |s: &solve::Solved| welded_length(scale, &graph, &s.label, context);
@@ -276,9 +290,9 @@ fn part_of(atlas: &Atlas, faces: &[FaceId]) -> Atlas {
     part.uv = uvs.iter().map(|&u| atlas.uv[u as usize]).collect();
     part.surface.positions = vertices.iter().map(|&v| atlas.surface.positions[v as usize]).collect();
     for f in faces {
-        part.corners.push(atlas.corners[f.index()].map(|u| crate::atlas::UvId::new(place(&uvs, u.0))));
+        part.corners.push(atlas.corners[f.index()].map(|u| UvId::new(place(&uvs, u.0))));
         let triangle = atlas.surface.triangles[f.index()];
-        part.surface.triangles.push(triangle.map(|v| crate::atlas::VertexId::new(place(&vertices, v.0))));
+        part.surface.triangles.push(triangle.map(|v| VertexId::new(place(&vertices, v.0))));
         part.provenance.push(atlas.provenance[f.index()]);
         part.page.push(atlas.page[f.index()]);
     }

@@ -102,9 +102,8 @@ impl Partition {
 
     /// Whether two nodes of the clusters `a` and `b` overlap (or, for `a == b`, two of one).
     pub(crate) fn in_conflict(&self, graph: &Graph, a: u32, b: u32) -> bool {
-        let (few, many) = if self.members[a as usize].len() <= self.members[b as usize].len() { (a, b) } else { (b, a) };
-        self.members[few as usize]
-            .iter()
-            .any(|&v| graph.conflicts(v).iter().any(|&u| self.label[u as usize] == many))
+        let (few, many) =
+            if self.members[a as usize].len() <= self.members[b as usize].len() { (a, b) } else { (b, a) };
+        self.members[few as usize].iter().any(|&v| graph.conflicts(v).iter().any(|&u| self.label[u as usize] == many))
     }
 }

@@ -32,6 +32,8 @@ struct Search<'a> {
     splitter: Splitter,
     work: u64,
     limit: u64,
+    /// Whether the limit left a border unvisited. Neighbourhoods left unsplit do not count: that search has no natural end.
+    cut_short: bool,
     context: &'a Context,
 }
 
@@ -66,7 +68,9 @@ pub(crate) fn solve(graph: &Graph, limit: u64, context: &Context) -> Result<Solv
             (best, cost) = (next, own);
         }
     }
+    let complete = !search.cut_short;
     search.reshape(&mut best, &mut cost)?;
+    search.cut_short = !complete;
     Ok(search.solved(best))
 }
 
@@ -79,6 +83,7 @@ impl<'a> Search<'a> {
             splitter: Splitter::new(graph),
             work: 0,
             limit,
+            cut_short: false,
             context,
         }
     }
@@ -89,7 +94,7 @@ impl<'a> Search<'a> {
 
     fn solved(self, partition: Partition) -> Solved {
         let cost = self.graph.cost(&partition.label);
-        Solved { cost, work: self.work, cut_short: self.spent(), label: partition.label }
+        Solved { cost, work: self.work, cut_short: self.cut_short, label: partition.label }
     }
 
     /// Improves border after border until nothing gains. `exact` adds minimum cuts to the chains of Kernighan and Lin.
@@ -101,6 +106,7 @@ impl<'a> Search<'a> {
             let was_changed = |l: u32| changed.get(l as usize).is_none_or(|c| *c);
             for (a, b) in partition.borders(graph) {
                 if self.spent() {
+                    self.cut_short = true;
                     return Ok(());
                 }
                 let touched = [a, b].iter().any(|&l| was_changed(l) || partition.dirty[l as usize]);

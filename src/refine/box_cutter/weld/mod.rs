@@ -11,7 +11,7 @@ mod state;
 mod tests;
 
 use self::state::State;
-use crate::atlas::seams::{RigidSeam, rigid_seams, seam_runs, weld_tolerance};
+use crate::atlas::seams::{RigidSeam, border_length, rigid_seams, seam_runs, weld_tolerance};
 use crate::atlas::{Atlas, ChartId, Charts, Topology};
 use crate::context::Context;
 use crate::error::Result;
@@ -83,13 +83,11 @@ pub(crate) fn weld(
         }
     }
     state.close_slits();
-    Ok(Welded {
-        welds: state.welds,
-        undone,
-        boundary_saved: state.saved,
-        work: state.work,
-        atlas: state.into_atlas(atlas),
-    })
+    let (welds, work) = (state.welds, state.work);
+    let welded = state.into_atlas(atlas);
+    let length = |a: &Atlas| border_length(a, &Topology::new(a));
+    let boundary_saved = length(atlas) - length(&welded);
+    Ok(Welded { atlas: welded, welds, undone, boundary_saved, work })
 }
 
 /// Watches over the packing efficiency.

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::atlas::forest::Forest;
 use crate::atlas::rigid::Rigid;
-use crate::atlas::seams::{RigidSeam, linked_corners, uv_length};
+use crate::atlas::seams::{RigidSeam, linked_corners};
 use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, NONE, Topology, UvId};
 
 /// An atlas under welding.
@@ -19,8 +19,6 @@ pub(super) struct State {
     pub tolerance: f64,
     /// Charts joined.
     pub welds: usize,
-    /// Boundary length saved.
-    pub saved: f64,
     /// Triangles tested.
     pub work: u64,
     /// By half edge: seams that start here cannot be welded.
@@ -32,7 +30,11 @@ pub(super) struct State {
     /// Faces by chart; none once it has joined another.
     faces: Vec<Vec<FaceId>>,
     touchable: Vec<bool>,
-    /// By face: its chart moved in this round. Marked at the first face of a chart of the start.
+    /// Chart by face at the start.
+    home: Vec<u32>,
+    /// By chart: the charts of the start that it is made of.
+    parts: Vec<Vec<u32>>,
+    /// By chart of the start: moved in this round.
     moved: Vec<bool>,
     /// By chart, made when needed.
     forests: Vec<Option<Forest>>,
@@ -64,10 +66,11 @@ impl State {
         State {
             tolerance,
             welds: 0,
-            saved: 0.0,
             work: 0,
             banned: vec![false; topology.uv_twin.len()],
             owner: charts.of_face.iter().map(|c| c.0).collect(),
+            home: charts.of_face.iter().map(|c| c.0).collect(),
+            parts: charts.ids().map(|c| vec![c.0]).collect(),
             forests: vec![None; charts.len()],
             moved: vec![false; charts.len()],
             faces: charts.faces,
@@ -123,7 +126,8 @@ impl State {
     pub(super) fn weld(&mut self, seam: &RigidSeam) -> bool {
         let h = seam.edges[0] as usize;
         let (a, b) = (self.owner[h / 3] as usize, self.owner[self.surface_twin[h] as usize / 3] as usize);
-        if a == b || self.moved[a] || self.moved[b] || self.uv_twin[h] != NONE {
+        let homes = [h / 3, self.surface_twin[h] as usize / 3].map(|f| self.home[f] as usize);
+        if a == b || homes.iter().any(|&c| self.moved[c]) || self.uv_twin[h] != NONE {
             return false;
         }
         let (keep, go, motion) = if (self.faces[a].len(), b) >= (self.faces[b].len(), a) {
@@ -162,9 +166,8 @@ impl State {
                     continue;
                 }
                 let ends = linked_corners(&self.atlas, h, twin);
-                let meet = |&(own, other): &(UvId, UvId)| {
-                    motion.apply(at(own)).distance(at(other)) <= 2.0 * self.tolerance
-                };
+                let meet =
+                    |&(own, other): &(UvId, UvId)| motion.apply(at(own)).distance(at(other)) <= 2.0 * self.tolerance;
                 // One vertex may close a slit of the larger chart if the slit is exactly shut.
                 let agree = |&(own, other): &(UvId, UvId)| join.to.get(&own).is_none_or(|&t| at(t) == at(other));
                 if !ends.iter().all(|e| meet(e) && agree(e)) {
@@ -247,14 +250,17 @@ impl State {
         for (h, twin) in join.edges {
             self.uv_twin[h as usize] = twin;
             self.uv_twin[twin as usize] = h;
-            self.saved += 2.0 * uv_length(&self.atlas, h);
         }
         if let Some(forest) = &mut self.forests[keep] {
             forest.add(new);
         }
         self.forests[go] = None;
         self.faces[keep].extend(faces);
-        self.moved[go] = true;
+        let parts = std::mem::take(&mut self.parts[go]);
+        if *motion != Rigid::IDENTITY {
+            parts.iter().for_each(|&c| self.moved[c as usize] = true);
+        }
+        self.parts[keep].extend(parts);
         self.welds += 1;
         self.changed = true;
     }
@@ -284,7 +290,6 @@ impl State {
         for &(h, twin) in &closed {
             self.uv_twin[h as usize] = twin;
             self.uv_twin[twin as usize] = h;
-            self.saved += 2.0 * uv_length(&self.atlas, h);
         }
         if !closed.is_empty() {
             self.changed = true;
