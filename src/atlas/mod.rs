@@ -11,8 +11,11 @@ mod check;
 mod clusters;
 mod cut;
 mod edit;
+pub(crate) mod forest;
 mod ids;
-mod overlap;
+pub(crate) mod overlap;
+pub(crate) mod rigid;
+pub(crate) mod seams;
 mod slice;
 #[cfg(test)]
 pub(crate) mod testing;

@@ -1,0 +1,205 @@
+//! The multicut of one chart: start, Kernighan-Lin with joins, and what goes beyond.
+
+use super::graph::Graph;
+use super::klj::Chains;
+use super::mincut::MinCut;
+use super::partition::Partition;
+use super::split::{End, Splitter};
+use super::{greedy, refine};
+use crate::context::Context;
+use crate::error::Result;
+
+/// Rounds over all borders before the search is called done.
+const ROUNDS: usize = 16;
+
+/// A solution.
+#[derive(Debug, Clone)]
+pub(crate) struct Solved {
+    /// Cluster by node: clusters are connected, and none overlaps itself.
+    pub label: Vec<u32>,
+    /// Weight of the cuts less the bias gained.
+    pub cost: i64,
+    /// Edges and overlaps looked at.
+    pub work: u64,
+    /// Whether the work limit ended the search.
+    pub cut_short: bool,
+}
+
+struct Search<'a> {
+    graph: &'a Graph,
+    cutter: MinCut,
+    chains: Chains,
+    splitter: Splitter,
+    work: u64,
+    limit: u64,
+    /// Whether the limit left a border unvisited. Neighbourhoods left unsplit do not count: that search has no natural end.
+    cut_short: bool,
+    context: &'a Context,
+}
+
+/// The published method alone: greedy contraction from single triangles, then Kernighan-Lin with joins.
+pub(crate) fn solve_as_published(graph: &Graph, limit: u64, context: &Context) -> Result<Solved> {
+    let mut search = Search::new(graph, limit, context);
+    let mut partition = Partition::singletons(graph);
+    greedy::contract(graph, &mut partition, &mut search.work, context)?;
+    search.polish(&mut partition, false)?;
+    Ok(search.solved(partition))
+}
+
+/// The best of contraction and of splitting top down, each polished with chains and minimum cuts, and then improved by splitting
+/// neighbourhoods anew. Stops when about `limit` edges and overlaps were looked at.
+pub(crate) fn solve(graph: &Graph, limit: u64, context: &Context) -> Result<Solved> {
+    let mut search = Search::new(graph, limit, context);
+    let mut best = Partition::singletons(graph);
+    greedy::contract(graph, &mut best, &mut search.work, context)?;
+    search.polish(&mut best, true)?;
+    let mut cost = graph.cost(&best.label);
+    for end in End::ALL {
+        if search.spent() {
+            break;
+        }
+        let mut next = Partition::whole(graph);
+        let pending = (0..next.members.len() as u32).collect();
+        search.splitter.split(graph, &mut next, &mut search.cutter, (pending, end), &mut search.work, context)?;
+        greedy::contract(graph, &mut next, &mut search.work, context)?;
+        search.polish(&mut next, true)?;
+        let own = graph.cost(&next.label);
+        if own < cost {
+            (best, cost) = (next, own);
+        }
+    }
+    let complete = !search.cut_short;
+    search.reshape(&mut best, &mut cost)?;
+    search.cut_short = !complete;
+    Ok(search.solved(best))
+}
+
+impl<'a> Search<'a> {
+    fn new(graph: &'a Graph, limit: u64, context: &'a Context) -> Self {
+        Search {
+            graph,
+            cutter: MinCut::new(graph),
+            chains: Chains::new(graph),
+            splitter: Splitter::new(graph),
+            work: 0,
+            limit,
+            cut_short: false,
+            context,
+        }
+    }
+
+    fn spent(&self) -> bool {
+        self.work >= self.limit || self.context.out_of_time()
+    }
+
+    fn solved(self, partition: Partition) -> Solved {
+        let cost = self.graph.cost(&partition.label);
+        Solved { cost, work: self.work, cut_short: self.cut_short, label: partition.label }
+    }
+
+    /// Improves border after border until nothing gains. `exact` adds minimum cuts to the chains of Kernighan and Lin.
+    fn polish(&mut self, partition: &mut Partition, exact: bool) -> Result<()> {
+        let graph = self.graph;
+        for _ in 0..ROUNDS {
+            let mut gained = 0;
+            let changed = std::mem::replace(&mut partition.dirty, vec![false; partition.members.len()]);
+            let was_changed = |l: u32| changed.get(l as usize).is_none_or(|c| *c);
+            for (a, b) in partition.borders(graph) {
+                if self.spent() {
+                    self.cut_short = true;
+                    return Ok(());
+                }
+                let touched = [a, b].iter().any(|&l| was_changed(l) || partition.dirty[l as usize]);
+                if !touched || [a, b].iter().any(|&l| partition.members[l as usize].is_empty()) {
+                    continue;
+                }
+                gained += self.chains.improve(graph, partition, (a, b), &mut self.work, self.context)?;
+                let both = [a, b].iter().all(|&l| !partition.members[l as usize].is_empty());
+                if exact && both {
+                    let (work, context) = (&mut self.work, self.context);
+                    gained += refine::improve(graph, partition, &mut self.cutter, (a, b), work, context)?;
+                }
+            }
+            if graph.has_bias() {
+                for a in 0..partition.members.len() as u32 {
+                    gained += self.chains.split(graph, partition, a, &mut self.work, self.context)?;
+                }
+            }
+            if gained == 0 {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Joins each cluster with its neighbours, splits the union anew from each end, and keeps what is cheaper.
+    fn reshape(&mut self, best: &mut Partition, cost: &mut i64) -> Result<()> {
+        let graph = self.graph;
+        let mut improved = true;
+        let mut done: Vec<Vec<u32>> = Vec::new();
+        while improved && !self.spent() {
+            improved = false;
+            // Clusters named by their first triangle: labels change.
+            let mut centres: Vec<u32> = best.members.iter().filter_map(|m| m.first().copied()).collect();
+            centres.sort_unstable();
+            for centre in centres {
+                let borders = best.borders(graph);
+                let own = best.label[centre as usize];
+                let around: Vec<u32> = borders
+                    .iter()
+                    .filter_map(|&(a, b)| if a == own { Some(b) } else { (b == own).then_some(a) })
+                    .collect();
+                let mut unions = vec![around.clone()];
+                if around.len() > 1 {
+                    unions.extend(around.iter().map(|&l| vec![l]));
+                }
+                for union in unions {
+                    if self.spent() || around.is_empty() {
+                        return Ok(());
+                    }
+                    let mut nodes: Vec<u32> = best.members[own as usize].clone();
+                    union.iter().for_each(|&l| nodes.extend(&best.members[l as usize]));
+                    nodes.sort_unstable();
+                    if done.contains(&nodes) {
+                        continue;
+                    }
+                    if self.split_anew(best, cost, own, &nodes)? {
+                        improved = true;
+                        break;
+                    }
+                    done.push(nodes);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn split_anew(&mut self, best: &mut Partition, cost: &mut i64, own: u32, nodes: &[u32]) -> Result<bool> {
+        let graph = self.graph;
+        for end in End::ALL {
+            if self.spent() {
+                break;
+            }
+            let mut next = best.clone();
+            next.dirty.fill(false);
+            for &v in nodes {
+                let old = std::mem::replace(&mut next.label[v as usize], own);
+                next.members[old as usize].clear();
+            }
+            next.members[own as usize] = nodes.to_vec();
+            let before = next.members.len() as u32;
+            next.rebuild(graph, nodes);
+            let pending = std::iter::once(own).chain(before..next.members.len() as u32).collect();
+            let (cutter, work) = (&mut self.cutter, &mut self.work);
+            self.splitter.split(graph, &mut next, cutter, (pending, end), work, self.context)?;
+            *work += 2 * graph.near.to.len() as u64;
+            self.polish(&mut next, true)?;
+            let reached = graph.cost(&next.label);
+            if reached < *cost {
+                (*best, *cost) = (next, reached);
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+}

@@ -1,0 +1,237 @@
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use glam::DVec2;
+
+use super::baseline::{Outlines, remove_overlaps_along_outlines};
+use super::*;
+use crate::atlas::overlap::overlaps_where;
+use crate::atlas::testing::{Rng, atlas, join, sheet};
+use crate::context::Silent;
+
+/// A strip of quads along a curve, `across` quads wide: `at(t, s)` with both in 0..=1.
+fn strip(along: usize, across: usize, at: impl Fn(f64, f64) -> DVec2) -> Atlas {
+    let grid = sheet(across, along, DVec2::ZERO);
+    let uv = grid.uv.iter().map(|p| at(p.y / along as f64, p.x / across as f64)).collect();
+    atlas(uv, grid.corners)
+}
+
+/// A ring road 10 wide that runs `turns` times over itself: overlaps between sheets far from each other in the chart.
+fn ring(turns: f64, along: usize, across: usize) -> Atlas {
+    strip(along, across, |t, s| DVec2::from_angle(t * turns * std::f64::consts::TAU) * (20.0 + 10.0 * s))
+}
+
+fn self_overlaps(atlas: &Atlas) -> usize {
+    let charts = Charts::new(&Topology::new(atlas));
+    overlaps_where(atlas, usize::MAX, |a, b| charts.of_face[a.index()] == charts.of_face[b.index()]).0.len()
+}
+
+fn removed(atlas: &Atlas) -> Removed {
+    let removed = remove_overlaps(atlas, &|_| true, None, &Context::silent()).unwrap();
+    assert_eq!(self_overlaps(&removed.atlas), 0);
+    assert_eq!(removed.atlas.surface, atlas.surface);
+    for f in atlas.faces() {
+        assert_eq!(removed.atlas.uv_triangle(f), atlas.uv_triangle(f), "cutting moves nothing");
+    }
+    let length = |a: &Atlas| border_length(a, &Topology::new(a));
+    assert!((length(&removed.atlas) - length(atlas) - removed.cut_length).abs() < 1e-9);
+    removed
+}
+
+fn charts(atlas: &Atlas) -> usize {
+    Charts::new(&Topology::new(atlas)).len()
+}
+
+#[test]
+fn a_ring_road_is_cut_once_a_turn_straight_across() {
+    for (turns, parts) in [(0.9, 1), (1.5, 2), (2.5, 3)] {
+        let removed = removed(&ring(turns, 90, 3));
+        assert_eq!(charts(&removed.atlas), parts, "{turns} turns");
+        assert!((removed.cut_length - 20.0 * (parts - 1) as f64).abs() < 1e-6, "{}", removed.cut_length);
+        assert_eq!(removed.charts_touched, usize::from(parts > 1));
+        assert!(!removed.cut_short);
+    }
+}
+
+#[test]
+fn a_crossing_is_cut_where_the_strip_is_narrowest() {
+    // A loop that crosses itself once; the strip is thin only in a place away from the crossing.
+    let strip = strip(80, 4, |t, s| {
+        let angle = (t - 0.5) * 4.4;
+        let curve = DVec2::new(angle.sin(), (2.0 * angle).sin() * 0.7) * 60.0;
+        let half = if (0.48..0.52).contains(&t) { 1.0 } else { 6.0 };
+        curve + DVec2::new(0.3, 1.0) * half * (s - 0.5)
+    });
+    assert!(self_overlaps(&strip) > 0);
+    let removed = removed(&strip);
+    let base = remove_overlaps_along_outlines(&strip, Outlines::All, &Context::silent()).unwrap();
+    let length = |a: &Atlas| border_length(a, &Topology::new(a));
+    assert!(removed.cut_length <= 0.5 * (length(&base) - length(&strip)), "{}", removed.cut_length);
+}
+
+#[test]
+fn a_folded_sheet_is_cut_along_its_fold() {
+    let mut folded = sheet(4, 4, DVec2::ZERO);
+    folded.uv.iter_mut().filter(|p| p.x > 2.0).for_each(|p| p.x = 4.0 - p.x);
+    let removed = removed(&folded);
+    assert_eq!(charts(&removed.atlas), 2);
+    assert_eq!(removed.cut_length, 8.0);
+}
+
+#[test]
+fn flipped_triangles_inside_a_sheet_are_cut_out() {
+    let mut sheet = sheet(6, 6, DVec2::ZERO);
+    // Across the opposite edge of one triangle: no border takes part.
+    sheet.uv[3 * 7 + 3] += DVec2::new(1.2, 0.4);
+    assert!(self_overlaps(&sheet) > 0);
+    let removed = removed(&sheet);
+    assert!(charts(&removed.atlas) >= 2);
+}
+
+#[test]
+fn charts_without_overlap_and_untouchable_ones_stay_bit_for_bit() {
+    let clean = sheet(3, 3, DVec2::splat(50.0));
+    let both = join(&clean, &ring(1.5, 60, 2));
+    let removed = removed(&both);
+    let n = clean.face_count();
+    assert_eq!(removed.atlas.corners[..n], both.corners[..n]);
+    assert_eq!(removed.atlas.uv[..both.uv.len()], both.uv[..]);
+    let kept = remove_overlaps(&both, &|c| c.0 == 0, None, &Context::silent()).unwrap();
+    assert_eq!((kept.atlas, kept.charts_touched, kept.cut_length), (both, 0, 0.0));
+}
+
+#[test]
+fn faces_that_crowd_on_one_edge_are_parted() {
+    // Three fins on the edge 0-1, two of them over each other: adjacency alone knows only one pair.
+    let uv = [[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [1.0, 4.0], [2.0, -4.0]].map(DVec2::from).to_vec();
+    let fins = [[0, 1, 2], [0, 1, 3], [0, 1, 4]].map(|c| c.map(UvId));
+    let fins = atlas(uv, fins.to_vec());
+    assert!(self_overlaps(&fins) > 0);
+    assert!(charts(&removed(&fins).atlas) >= 2);
+}
+
+#[test]
+fn importance_moves_the_cut() {
+    let ring = ring(1.5, 60, 2);
+    let topology = Topology::new(&ring);
+    // Free to cut only within the quads 28 to 30 along the strip (four faces each).
+    let dear = |h: HalfEdge| if (28..30).contains(&(h / 3 / 4)) { 1.0 } else { 50.0 };
+    let removed = remove_overlaps(&ring, &|_| true, Some(&dear), &Context::silent()).unwrap();
+    let after = Topology::new(&removed.atlas);
+    let cut = |h: &u32| after.uv_twin[*h as usize] == NONE && topology.uv_twin[*h as usize] != NONE;
+    let cuts: Vec<u32> = (0..after.uv_twin.len() as u32).filter(cut).collect();
+    assert!(!cuts.is_empty() && cuts.iter().all(|h| (27..31).contains(&(h / 3 / 4))), "{cuts:?}");
+}
+
+#[test]
+fn whatever_comes_in_nothing_overlaps_and_threads_do_not_matter() {
+    let mut rng = Rng(11);
+    for round in 0..25 {
+        let mut sheet = sheet(9, 9, DVec2::ZERO);
+        let amount = [0.5, 1.0, 3.0, 12.0][round % 4];
+        sheet.uv.iter_mut().for_each(|p| *p += rng.point(amount));
+        if round == 24 {
+            sheet.uv[30] = DVec2::NAN;
+        }
+        let with = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| remove_overlaps(&sheet, &|_| true, None, &Context::silent()).unwrap().atlas)
+        };
+        let (one, four) = (with(1), with(4));
+        // Debug text: NaN is not equal to itself.
+        assert_eq!(format!("{one:?}"), format!("{four:?}"));
+        assert_eq!(self_overlaps(&one), 0);
+    }
+}
+
+#[test]
+fn growing_apart_needs_no_pairs_and_leaves_no_overlap() {
+    let ring = ring(4.5, 200, 3);
+    let topology = Topology::new(&ring);
+    let scale = Scale::new(&ring, &topology, None);
+    let faces: Vec<FaceId> = ring.faces().collect();
+    let bare = graph::build(&scale, &faces, &[], &[]);
+    let label = grow::grow(&ring, &bare, &mut 0, &Context::silent()).unwrap();
+    let full = graph::build(&scale, &faces, &graph::list_pairs(&ring, &faces), &[]);
+    assert!(full.is_feasible(&label));
+    assert!(label.iter().max().is_some_and(|m| *m <= 12), "a sheet is as large as it can be");
+    assert_eq!(graph::count_pairs(&ring, &faces, 10), None);
+}
+
+#[test]
+fn the_usual_method_leaves_no_overlap_either() {
+    let both = join(&ring(2.2, 80, 3), &ring(1.2, 50, 2));
+    for outlines in [Outlines::All, Outlines::AllButOne] {
+        let base = remove_overlaps_along_outlines(&both, outlines, &Context::silent()).unwrap();
+        assert_eq!(self_overlaps(&base), 0);
+    }
+}
+
+#[test]
+fn a_cancelled_job_ends() {
+    let context = Context::new(Arc::new(Silent), Arc::new(AtomicBool::new(true)), 0);
+    assert!(remove_overlaps(&ring(1.5, 60, 2), &|_| true, None, &context).is_err());
+}
+
+/// The least cost of any division into connected clusters without conflict, by trying all.
+fn optimum(graph: &Graph) -> i64 {
+    fn all(graph: &Graph, label: &mut Vec<u32>, used: u32, best: &mut i64) {
+        if label.len() == graph.len() {
+            let parts = Partition::from_labels(graph, label.clone()).members.iter().filter(|m| !m.is_empty()).count();
+            if parts as u32 == used && graph.is_feasible(label) {
+                *best = (*best).min(graph.cost(label));
+            }
+            return;
+        }
+        for l in 0..=used {
+            label.push(l);
+            all(graph, label, used.max(l + 1), best);
+            label.pop();
+        }
+    }
+    let mut best = i64::MAX;
+    all(graph, &mut Vec::new(), 0, &mut best);
+    best
+}
+
+#[test]
+fn small_graphs_are_solved_as_well_as_by_trying_everything() {
+    let mut rng = Rng(21);
+    let (mut equal, mut published, mut rounds) = (0, 0, 0);
+    for round in 0..60 {
+        // A grid of 2 x 4 nodes, some pairs in conflict, and in every other round some bias.
+        let mut near = Vec::new();
+        for v in 0..8u32 {
+            let mut weight = || 1 + (rng.unit() * 100.0) as i64;
+            if v % 4 < 3 {
+                near.push((v, v + 1, weight()));
+            }
+            if v < 4 {
+                near.push((v, v + 4, weight()));
+            }
+        }
+        let mut pair = || {
+            let (a, b) = ((rng.unit() * 8.0) as u32, (rng.unit() * 8.0) as u32);
+            (a.min(b), a.max(b))
+        };
+        let mut conflicts: Vec<_> = (0..3).map(|_| pair()).filter(|p| p.0 != p.1).collect();
+        conflicts.sort_unstable();
+        conflicts.dedup();
+        let bias: Vec<_> =
+            (0..2 * (round % 2)).map(|_| pair()).filter(|p| p.0 != p.1).map(|p| (p.0, p.1, 90)).collect();
+        let graph = Graph::from_edges(8, &near, &bias, &conflicts);
+        let best = optimum(&graph);
+        let ours = solve::solve(&graph, u64::MAX, &Context::silent()).unwrap();
+        let theirs = solve::solve_as_published(&graph, u64::MAX, &Context::silent()).unwrap();
+        for solved in [&ours, &theirs] {
+            assert!(graph.is_feasible(&solved.label) && graph.cost(&solved.label) == solved.cost);
+            assert!(solved.cost >= best);
+        }
+        rounds += 1;
+        equal += usize::from(ours.cost == best);
+        published += usize::from(theirs.cost == best);
+        assert!(ours.cost - best <= 60, "round {round}: {} against {best}", ours.cost);
+    }
+    assert!(10 * equal >= 9 * rounds, "{equal} of {rounds} optimal");
+    assert!(2 * published >= rounds, "{published} of {rounds} optimal as published");
+}
