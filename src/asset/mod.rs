@@ -90,6 +90,8 @@ pub struct PrimitiveRef {
     pub first_face: usize,
     /// Number of faces.
     pub face_count: usize,
+    /// Whether it is skinned or morphed.
+    pub animated: bool,
     /// The glTF vertex of each corner of each face, as the index buffer names it.
     pub corners: Vec<[u32; 3]>,
 }

@@ -80,6 +80,7 @@ fn read_set(
             uv_set,
             first_face,
             face_count,
+            animated: is_animated(doc, &scanned.pointer()),
             corners: geometry.corners,
         });
     }
@@ -89,6 +90,13 @@ fn read_set(
     let grid = grid(planned.reference, &planned.slots);
     let Planned { slots, reference, .. } = planned;
     Ok(Some(TextureSet { id, name, atlas, reference, primitives, slots, grid }))
+}
+
+/// Whether a primitive is skinned or morphed.
+fn is_animated(doc: &Document, pointer: &str) -> bool {
+    let Some(primitive) = doc.json.pointer(pointer) else { return false };
+    let morphed = primitive["targets"].as_array().is_some_and(|t| !t.is_empty());
+    morphed || primitive["attributes"].get("JOINTS_0").is_some()
 }
 
 /// The materials' names, each once, or the model's.

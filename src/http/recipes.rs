@@ -7,6 +7,7 @@ use serde_json::{Map, Value, json};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::App;
+use crate::refine::box_cutter::params::BoxCutter;
 use crate::refine::options::{Options, Pack};
 use crate::refine::parse::{MAX_METADATA_BYTES, MAX_STAGES, RECIPES};
 
@@ -47,12 +48,17 @@ struct StageInfo {
 #[utoipa::path(get, path = "/v1/recipes", tag = "service", responses((status = 200, body = Recipes)))]
 pub(super) async fn recipes() -> Json<Recipes> {
     let recipes = RECIPES.iter().map(|&(name, description)| Named { name, description }).collect();
-    let stages = vec![StageInfo {
-        stage: "pack",
-        description: RECIPES.first().map_or("", |r| r.1),
-        parameters_at: Some("/pack"),
-        parameters: schema::<Pack>(&Pack::default()),
-    }];
+    let described = |stage: &str| RECIPES.iter().find(|r| r.0 == stage).map_or("", |r| r.1);
+    let stage = |stage: &'static str, parameters_at, parameters| StageInfo {
+        stage,
+        description: described(stage),
+        parameters_at,
+        parameters,
+    };
+    let stages = vec![
+        stage("pack", Some("/pack"), schema::<Pack>(&Pack::default())),
+        stage("box_cutter", None, schema::<BoxCutter>(&BoxCutter::default())),
+    ];
     Json(Recipes { recipes, stages, options: schema::<Options>(&Options::default()) })
 }
 

@@ -17,7 +17,7 @@ mod shape;
 use glam::{DMat2, DVec2};
 
 pub use fit::{Fitted, pack_into};
-pub(crate) use greedy::{Layout, Plan, Rule, Spot, greedy, settle};
+pub(crate) use greedy::{Layout, Plan, Rule, greedy};
 pub(crate) use mask::Mask;
 pub(crate) use occupancy::{Pitch, Probe};
 pub(crate) use orientation::Orientation;

@@ -1,5 +1,6 @@
 //! The stages, from Atlas to Atlas, and the recipe that runs them in order.
 
+pub mod box_cutter;
 mod check;
 mod deliver;
 mod group;

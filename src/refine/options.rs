@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
+use super::box_cutter::params::BoxCutter;
+
 /// All options of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -14,6 +16,8 @@ pub struct Options {
     pub recipe: Recipe,
     /// How charts are placed on sheets.
     pub pack: Pack,
+    /// Parameters of the stage `box_cutter`, where the stage does not say its own.
+    pub box_cutter: BoxCutter,
     /// What the output textures are like.
     pub texture: Texture,
     /// What one atlas is.
@@ -39,6 +43,7 @@ impl Default for Options {
         Options {
             recipe: Recipe::Preset("pack".to_owned()),
             pack: Pack::default(),
+            box_cutter: BoxCutter::default(),
             texture: Texture::default(),
             atlas: AtlasOptions::default(),
             importance: None,
@@ -48,6 +53,17 @@ impl Default for Options {
             work_budget: None,
             time_limit_s: None,
             metadata: serde_json::Map::new(),
+        }
+    }
+}
+
+impl Options {
+    /// The stages of the recipe, presets written out.
+    pub fn stages(&self) -> Vec<Stage> {
+        match &self.recipe {
+            Recipe::Stages(stages) => stages.clone(),
+            Recipe::Preset(name) if name == "box_cutter" => vec![Stage::BoxCutter(self.box_cutter.clone())],
+            Recipe::Preset(_) => vec![Stage::Pack {}],
         }
     }
 }
@@ -68,6 +84,9 @@ pub enum Recipe {
 pub enum Stage {
     /// Places the charts as they are; its parameters are the job's `pack`.
     Pack {},
+    /// Removes overlaps, welds, and cuts charts so that they pack better, then packs them. What a stage does not say is as in the
+    /// job's `box_cutter`.
+    BoxCutter(BoxCutter),
 }
 
 impl Stage {
@@ -75,6 +94,7 @@ impl Stage {
     pub fn name(&self) -> &'static str {
         match self {
             Stage::Pack {} => "pack",
+            Stage::BoxCutter(_) => "box_cutter",
         }
     }
 }

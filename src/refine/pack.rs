@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 use rayon::prelude::*;
+use serde_json::{Map, Value};
 
 use super::options::{IfLarger, Options, Overflow, OverlapMode, Pack, Rotation, Size};
 use super::stage::{Frame, Staged};
@@ -18,26 +19,31 @@ const MIP_LATTICE: u32 = 4;
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
 pub fn pack(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) -> Result<Staged> {
+    let (next, work) = lay_out(atlas, frame, options, context)?;
+    let figures = Map::from_iter([("work".to_owned(), Value::from(work))]);
+    let staged = Staged { atlas: next, stopped_by: "done", figures, kept: false };
+    if keeps_input(atlas, &staged.atlas, frame, options) {
+        return Ok(staged.undone(atlas, frame, context));
+    }
+    Ok(staged)
+}
+
+/// Packs the charts, or the clusters of charts, on new sheets, and gives the work that it took.
+///
+/// # Errors
+/// `too_large` when a chart fits on no sheet, `canceled`.
+pub(super) fn lay_out(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) -> Result<(Atlas, u64)> {
     let topology = Topology::new(atlas);
     let charts = Charts::new(&topology);
     let together = clusters(atlas, &charts, options.atlas.overlaps);
     context.step(0.02, "outlining charts")?;
     let pieces: Vec<Piece> = together.charts.par_iter().map(|own| piece(atlas, &topology, &charts, own)).collect();
     let packed = place(&pieces, frame, options, context)?;
-    let next = apply(atlas, &charts, &together, &packed);
-    let staged = Staged { atlas: next, stopped_by: "done", work: packed.work, kept: false };
-    if keeps_input(atlas, &charts, &staged.atlas, frame, options) {
-        context.warn(Warning::new(
-            "kept_input",
-            format!("packing would not make the sheet of atlas {} smaller: it stays as uploaded (set atlas.if_larger to \"accept\" to take the result)", frame.id),
-        ));
-        return Ok(Staged { atlas: atlas.clone(), stopped_by: "no_improvement", kept: true, ..staged });
-    }
-    Ok(staged)
+    Ok((apply(atlas, &charts, &together, &packed), packed.work))
 }
 
 /// Whether the result has more pixels than the input and nothing else speaks for it.
-fn keeps_input(before: &Atlas, charts: &Charts, after: &Atlas, frame: &Frame, options: &Options) -> bool {
+pub(super) fn keeps_input(before: &Atlas, after: &Atlas, frame: &Frame, options: &Options) -> bool {
     let area = |sheets: &[[u32; 2]]| sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
     options.atlas.if_larger == IfLarger::KeepInput
         && options.texture.size == Size::KeepDensity
@@ -45,7 +51,7 @@ fn keeps_input(before: &Atlas, charts: &Charts, after: &Atlas, frame: &Frame, op
         && !frame.joined
         && area(&after.sheets) > area(&before.sheets)
         // Charts that were to be pulled apart need room of their own.
-        && (options.atlas.overlaps == OverlapMode::Stack || overlapping_charts(before, charts).is_empty())
+        && (options.atlas.overlaps == OverlapMode::Stack || overlapping_charts(before, &Charts::new(&Topology::new(before))).is_empty())
 }
 
 fn piece(atlas: &Atlas, topology: &Topology, charts: &Charts, own: &[crate::atlas::ChartId]) -> Piece {

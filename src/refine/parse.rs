@@ -8,6 +8,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
+use super::box_cutter::params::BoxCutter;
 use super::importance::attribute_and_component;
 use super::options::{AtlasOptions, ImportanceSource, Options, Pack, Recipe, Requirement, Size, Stage, Texture};
 use crate::error::{Code, Failure};
@@ -19,9 +20,12 @@ pub const MAX_METADATA_BYTES: usize = 64 << 10;
 /// Most stages of a recipe.
 pub const MAX_STAGES: usize = 32;
 /// Presets and stages that can be named, each with what it does.
-pub const RECIPES: &[(&str, &str)] = &[("pack", "Places the charts as they are, better.")];
+pub const RECIPES: &[(&str, &str)] = &[
+    ("pack", "Places the charts as they are, better."),
+    ("box_cutter", "Removes overlaps, then cuts charts where that lets them pack better, within a budget of boundary length."),
+];
 /// Names of the contract that this version does not have yet.
-const LATER: &[&str] = &["box_cutter", "defrag", "optcuts", "bounded", "scan"];
+const LATER: &[&str] = &["defrag", "optcuts", "bounded", "scan"];
 
 /// One thing that is wrong with the options.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
@@ -63,8 +67,12 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
     for (key, value) in map {
         let pointer = child("", key);
         match key.as_str() {
-            "recipe" => out.recipe = recipe(value, &pointer, &mut problems),
+            "recipe" => {
+                let cutter = map.get("box_cutter").and_then(Value::as_object);
+                out.recipe = recipe(value, &pointer, cutter, &mut problems);
+            }
             "pack" => out.pack = section::<Pack>(value, &pointer, &mut problems),
+            "box_cutter" => out.box_cutter = section::<BoxCutter>(value, &pointer, &mut problems),
             "texture" => out.texture = section::<Texture>(value, &pointer, &mut problems),
             "atlas" => out.atlas = section::<AtlasOptions>(value, &pointer, &mut problems),
             "require" => out.require = requirements(value, &pointer, &mut problems),
@@ -101,14 +109,6 @@ pub fn recipe_named(name: &str) -> Value {
         return Value::String(name.trim().to_owned());
     }
     name.split(',').map(|stage| serde_json::json!({ "stage": stage.trim() })).collect()
-}
-
-/// The stages of a recipe, presets written out.
-pub fn stages(recipe: &Recipe) -> Vec<Stage> {
-    match recipe {
-        Recipe::Preset(_) => vec![Stage::Pack {}],
-        Recipe::Stages(stages) => stages.clone(),
-    }
 }
 
 /// Applies `PATH=VALUE` to the options' JSON. The value is JSON where it parses as such, else a string. The path is
@@ -200,9 +200,10 @@ fn requirements(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> BT
     out
 }
 
-fn recipe(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> Recipe {
+/// `cutter` is what the job's own `box_cutter` says: stages start from it.
+fn recipe(value: &Value, pointer: &str, cutter: Option<&Map<String, Value>>, problems: &mut Vec<Problem>) -> Recipe {
     match value {
-        Value::String(name) if name.contains(',') => recipe(&recipe_named(name), pointer, problems),
+        Value::String(name) if name.contains(',') => recipe(&recipe_named(name), pointer, cutter, problems),
         Value::String(name) => {
             if let Some(problem) = stage_problem(pointer, name) {
                 problems.push(problem);
@@ -214,7 +215,7 @@ fn recipe(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> Recipe {
                 problems.push(Problem::new(pointer, format!("a recipe has 1 to {MAX_STAGES} stages")));
             }
             let each = list.iter().take(MAX_STAGES).enumerate();
-            Recipe::Stages(each.filter_map(|(i, v)| stage(v, &format!("{pointer}/{i}"), problems)).collect())
+            Recipe::Stages(each.filter_map(|(i, v)| stage(v, &format!("{pointer}/{i}"), cutter, problems)).collect())
         }
         other => {
             problems
@@ -224,7 +225,12 @@ fn recipe(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> Recipe {
     }
 }
 
-fn stage(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> Option<Stage> {
+fn stage(
+    value: &Value,
+    pointer: &str,
+    cutter: Option<&Map<String, Value>>,
+    problems: &mut Vec<Problem>,
+) -> Option<Stage> {
     let Some(name) = value.get("stage").and_then(Value::as_str) else {
         problems.push(Problem::new(pointer, "a stage is an object that names itself: {\"stage\": \"pack\"}"));
         return None;
@@ -234,6 +240,17 @@ fn stage(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> Option<St
         return None;
     }
     let before = problems.len();
+    if name == "box_cutter" {
+        let mut own = value.as_object()?.clone();
+        own.remove("stage");
+        // Known keys only: what is wrong beside the recipe is told there.
+        let known = keys(&BoxCutter::default());
+        for (key, value) in cutter.into_iter().flatten().filter(|(k, _)| known.contains(k)) {
+            own.entry(key.clone()).or_insert_with(|| value.clone());
+        }
+        let params = section(&Value::Object(own), pointer, problems);
+        return (problems.len() == before).then_some(Stage::BoxCutter(params));
+    }
     for key in value.as_object()?.keys().filter(|k| *k != "stage") {
         let at = child(pointer, key);
         let own = keys(&Pack::default()).iter().any(|k| k == key);
@@ -269,6 +286,14 @@ fn ranges(o: &Options) -> Vec<Problem> {
     within("/pack/grid", o.pack.grid.into(), 1.0, 64.0);
     if let Some(aspect) = o.pack.aspect {
         within("/pack/aspect", aspect, 0.01, 100.0);
+    }
+    cutter_ranges("/box_cutter", &o.box_cutter, &mut within);
+    if let Recipe::Stages(stages) = &o.recipe {
+        for (i, stage) in stages.iter().enumerate() {
+            if let Stage::BoxCutter(params) = stage {
+                cutter_ranges(&format!("/recipe/{i}"), params, &mut within);
+            }
+        }
     }
     within("/texture/multiple_of", o.texture.multiple_of.into(), 1.0, 256.0);
     within("/texture/max_size", o.texture.max_size.into(), 16.0, 16384.0);
@@ -319,6 +344,26 @@ fn ranges(o: &Options) -> Vec<Problem> {
         out.push(Problem::new("/metadata", format!("`metadata` is larger than {MAX_METADATA_BYTES} bytes of JSON")));
     }
     out
+}
+
+fn cutter_ranges(at: &str, p: &BoxCutter, within: &mut impl FnMut(&str, f64, f64, f64)) {
+    let mut check = |key: &str, value: Option<f64>, low: f64, high: f64| {
+        if let Some(value) = value {
+            within(&child(at, key), value, low, high);
+        }
+    };
+    check("max_boundary_length", p.max_boundary_length, 1.0, 100.0);
+    check("target_packing_efficiency", p.target_packing_efficiency, 0.0, 1.0);
+    check("max_charts", p.max_charts.map(f64::from), 1.0, 1e6);
+    check("min_extent", Some(p.min_extent), 0.0, 1.0);
+    check("void_boxes", Some(p.void_boxes.into()), 1.0, 64.0);
+    check("void_overlap", Some(p.void_overlap), 0.0, 1.0);
+    check("line_shift", Some(p.line_shift), 0.0, 0.5);
+    check("alpha", Some(p.alpha), 0.0, 4.0);
+    check("min_improvement", Some(p.min_improvement), 0.0, 1.0);
+    check("patience", Some(p.patience.into()), 1.0, 1000.0);
+    check("beam", Some(p.beam.into()), 1.0, 64.0);
+    check("weld_loss", Some(p.weld_loss), 0.0, 1.0);
 }
 
 /// Whether this version has a key.
@@ -477,7 +522,9 @@ mod tests {
         assert!(set(&mut value, "pack").is_err());
         assert!(set(&mut value, "pack..x=1").is_err());
         assert!(set(&mut value, "pack.rotation.x=1").is_err());
-        assert!(set(&mut value, "box_cutter.max_boundary_length=1.3").unwrap_err().message.contains("not available"));
+        set(&mut value, "box_cutter.max_boundary_length=1.3").unwrap();
+        assert_eq!(super::options(&value).unwrap().box_cutter.max_boundary_length, Some(1.3));
+        assert!(set(&mut value, "bounded.padding=1").unwrap_err().message.contains("not available"));
     }
 
     #[test]

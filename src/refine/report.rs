@@ -39,12 +39,12 @@ impl<'a> Refinement<'a> {
     }
 
     /// Records that a stage ran.
-    pub fn ran(&mut self, stage: &Stage, stopped_by: &str, work: u64) {
+    pub fn ran(&mut self, stage: &Stage, stopped_by: &str, figures: Map<String, Value>) {
         self.stages.push(StageReport {
             stage: stage.name().to_owned(),
             atlas_id: self.group.set().id as u64,
             stopped_by: stopped_by.to_owned(),
-            figures: Map::from_iter([("work".to_owned(), Value::from(work))]),
+            figures,
         });
     }
 

@@ -4,14 +4,15 @@ use serde_json::Value;
 
 use super::deliver::deliver;
 use super::load::load;
-use super::options::{Options, Recipe, Stage};
+use super::options::{Options, Stage};
 use super::report::{Refinement, report};
 use super::stage::{Frame, Staged};
 use super::textures::bake_slots;
+use super::box_cutter::box_cutter;
 use super::{check, pack};
 use crate::asset::{File, Limits};
 use crate::context::Context;
-use crate::error::{Code, Failure, Result, Warning};
+use crate::error::{Failure, Result, Warning};
 use crate::metrics::{Unmet, unmet};
 
 /// What comes in.
@@ -55,17 +56,6 @@ pub struct Outcome {
     pub failures: Vec<Unmet>,
 }
 
-/// The stages that a recipe stands for.
-fn stages(recipe: &Recipe) -> Result<Vec<Stage>> {
-    match recipe {
-        Recipe::Stages(stages) => Ok(stages.clone()),
-        Recipe::Preset(name) if name == "pack" => Ok(vec![Stage::Pack {}]),
-        Recipe::Preset(name) => {
-            Err(Failure::new(Code::InvalidOptions, format!("there is no recipe `{name}`")).at("/recipe"))
-        }
-    }
-}
-
 /// Measures every atlas of the models as they are; nothing is written. Gives the report, where `before` and `after` are the same.
 ///
 /// # Errors
@@ -95,9 +85,9 @@ pub fn inspect_and_judge(input: &Input, options: &Options, context: &Context) ->
 /// # Errors
 /// Those of the input and the options: see [`Code`]; `canceled`.
 pub fn refine(input: &Input, options: &Options, context: &Context) -> Result<Outcome> {
-    let stages = stages(&options.recipe)?;
+    let stages = options.stages();
     let mut plan = vec![("read", 1.0)];
-    plan.extend(stages.iter().map(|s| (s.name(), 2.0)));
+    plan.extend(stages.iter().map(|s| (s.name(), if matches!(s, Stage::Pack {}) { 2.0 } else { 8.0 })));
     plan.extend([("bake", 2.0), ("write", 1.0)]);
     context.plan(&plan);
 
@@ -137,16 +127,21 @@ fn run_stage(stage: &Stage, refinement: &mut Refinement<'_>, options: &Options, 
     let frame = Frame { joined: group.is_joined(), ..Frame::new(group.set()) };
     let staged = match stage {
         Stage::Pack {} => pack::pack(&refinement.atlas, &frame, options, context)?,
+        Stage::BoxCutter(params) => {
+            let weights: Option<Vec<[f64; 3]>> =
+                group.importance.as_ref().map(|i| refinement.atlas.provenance.iter().map(|p| i.at(p)).collect());
+            box_cutter(&refinement.atlas, &frame, weights.as_deref(), params, options, context)?
+        }
     };
-    let Staged { atlas, stopped_by, work, kept } = staged;
+    let Staged { atlas, stopped_by, figures, kept } = staged;
     if let Err(violation) = check::stage(&group.set().atlas, &atlas, context)? {
         debug_assert!(false, "{}: {violation}", stage.name());
         let message = format!("{} was undone for atlas {}: {violation}", stage.name(), frame.id);
         context.warn(Warning::new("stage_reverted", message));
-        refinement.ran(stage, "reverted", work);
+        refinement.ran(stage, "reverted", figures);
         return Ok(());
     }
-    refinement.ran(stage, stopped_by, work);
+    refinement.ran(stage, stopped_by, figures);
     refinement.kept &= kept;
     refinement.atlas = atlas;
     Ok(())

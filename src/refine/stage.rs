@@ -1,8 +1,12 @@
 //! What every stage is given and gives back.
 
+use serde_json::{Map, Value};
+
 use super::options::{Gutter, Pack};
 use crate::asset::TextureSet;
 use crate::atlas::Atlas;
+use crate::context::Context;
+use crate::error::Warning;
 
 /// What a stage may know of an Atlas' images: sizes and filtering, not contents.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,6 +22,8 @@ pub struct Frame {
     pub mipmaps: bool,
     /// Whether there are no images at all.
     pub is_virtual: bool,
+    /// Whether any primitive is skinned or morphed.
+    pub animated: bool,
     /// Whether several texture sets share the Atlas: that is a gain in itself.
     pub joined: bool,
 }
@@ -43,6 +49,7 @@ impl Frame {
             unit,
             mipmaps: slots().any(|s| s.mipmaps),
             is_virtual: set.slots.is_empty(),
+            animated: set.primitives.iter().any(|p| p.animated),
             joined: false,
         }
     }
@@ -64,8 +71,22 @@ pub struct Staged {
     pub atlas: Atlas,
     /// Why the stage ended.
     pub stopped_by: &'static str,
-    /// Units of work that its searches spent.
-    pub work: u64,
+    /// What the stage says of itself in the report; `work` is the units of work that its searches spent.
+    pub figures: Map<String, Value>,
     /// Whether the Atlas is the stage's input.
     pub kept: bool,
+}
+
+impl Staged {
+    /// The input again, because the result would be no gain; with a warning.
+    pub(super) fn undone(self, input: &Atlas, frame: &Frame, context: &Context) -> Self {
+        context.warn(Warning::new(
+            "kept_input",
+            format!(
+                "the sheet of atlas {} would not become smaller: it stays as uploaded (set atlas.if_larger to \"accept\" to take the result)",
+                frame.id
+            ),
+        ));
+        Staged { atlas: input.clone(), stopped_by: "no_improvement", kept: true, ..self }
+    }
 }

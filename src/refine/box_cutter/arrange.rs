@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use glam::DVec2;
-use rayon::prelude::*;
 
 use super::outline::Line;
 use super::panel::{Panel, Raster, to_chart};
@@ -116,9 +115,4 @@ impl Arrangement {
         let corner = DVec2::new(f64::from(spot.x), f64::from(spot.y));
         Some(to_chart(shape.linear, shape.anchor, (point - corner) * raster.cell, along))
     }
-}
-
-/// Arranges several lots of panels at once, in order.
-pub(crate) fn arrange_all(sheet: &Sheet, lots: &[Vec<Arc<Panel>>]) -> Vec<(Option<Arrangement>, u64)> {
-    lots.par_iter().map(|panels| sheet.arrange(panels)).collect()
 }

@@ -150,11 +150,6 @@ impl Outline {
         group(loops)
     }
 
-    /// Whether a point lies inside.
-    pub fn contains(&self, p: DVec2) -> bool {
-        self.loops.iter().filter(|l| inside(l, p)).count() % 2 == 1
-    }
-
     /// Least and greatest coordinates.
     pub fn bounds(&self) -> (DVec2, DVec2) {
         let points = || self.loops.iter().flatten();

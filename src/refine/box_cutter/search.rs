@@ -9,7 +9,7 @@ use super::candidates::{Candidate, Choice};
 use super::edges::Mesh;
 use super::field::Field;
 use super::lines::chords;
-use super::outline::Line;
+use super::outline::{Chord, Line};
 use super::panel::Panel;
 use crate::atlas::HalfEdge;
 use crate::context::Context;
@@ -80,6 +80,8 @@ pub(crate) struct Limits {
     pub patience: u32,
     /// States carried on at each step.
     pub beam: usize,
+    /// Whether to go on after the first round.
+    pub rounds: bool,
 }
 
 /// What a search found.
@@ -97,6 +99,10 @@ pub(crate) struct Found {
 
 /// States that a search gives back at most.
 const FINALISTS: usize = 6;
+/// States carried on at each step of a further round.
+const ROUND_BEAM: usize = 2;
+/// Rounds without improvement after which the search ends, whatever work is left.
+const IDLE_ROUNDS: usize = 60;
 
 impl State {
     /// Cuts the panels; `None` when nothing is cut. The arrangement is still the old one's.
@@ -147,15 +153,57 @@ impl State {
             let panel = |(outline, patch)| Panel::new(panel.chart, outline, Some(patch), rotation);
             return Some(cut.parts.into_iter().map(panel).collect());
         }
-        for c in &own {
+        Some(self.along(panel, line, &own, ground))
+    }
+
+    /// Cuts one panel straight along chords of a line and books the cut.
+    fn along(&mut self, panel: &Panel, line: &Line, own: &[Chord], ground: &Ground<'_>) -> Vec<Panel> {
+        for c in own {
             self.length += 2.0 * c.length();
             let weighted = ground.field.as_ref().map_or(c.length(), |f| f.length(panel.chart, line, c.from, c.to));
             self.weighted += 2.0 * weighted;
         }
-        let parts = panel.outline.split(line, &own);
+        let parts = panel.outline.split(line, own);
         let chords = own.iter().map(|c| (c.from, c.to)).collect();
         self.cuts.push(Arc::new(Cut::Straight { chart: panel.chart, line: *line, chords }));
-        Some(parts.into_iter().map(|o| Panel::new(panel.chart, o, None, rotation)).collect())
+        let rotation = ground.sheet.raster.rotation;
+        parts.into_iter().map(|o| Panel::new(panel.chart, o, None, rotation)).collect()
+    }
+
+    /// The state with one to three of its cuts taken back, or a stretch of them. Cuts that ended at one of those run on to
+    /// the next border.
+    fn without_some(&self, start: &State, ground: &Ground<'_>, random: &mut Random, work: &mut u64) -> Option<State> {
+        let n = self.cuts.len();
+        let count = 1 + random.below(n.div_ceil(2).min(4));
+        let mut gone = vec![false; n];
+        for _ in 0..count {
+            gone[random.below(n)] = true;
+        }
+        let mut next = start.clone();
+        for (cut, _) in self.cuts.iter().zip(&gone).filter(|(_, gone)| !**gone) {
+            next.again(cut, ground);
+        }
+        let (arrangement, own) = ground.sheet.arrange(&next.panels);
+        *work += own;
+        next.arrangement = arrangement?;
+        Some(next)
+    }
+
+    /// Makes a straight cut again, in whatever panels its chords lie now.
+    fn again(&mut self, cut: &Cut, ground: &Ground<'_>) {
+        let Cut::Straight { chart, line, chords: wanted } = cut else { return };
+        let mut panels = Vec::with_capacity(self.panels.len() + 1);
+        for panel in std::mem::take(&mut self.panels) {
+            let meant = |c: &Chord| wanted.iter().any(|(a, b)| (c.from..c.to).contains(&((a + b) * 0.5)));
+            let cut = (panel.chart == *chart && panel.cuttable())
+                .then(|| chords(&panel.outline, line, ground.choice.least).into_iter().filter(meant).collect::<Vec<_>>())
+                .filter(|own| !own.is_empty());
+            match cut {
+                Some(own) => panels.extend(self.along(&panel, line, &own, ground).into_iter().map(Arc::new)),
+                None => panels.push(panel),
+            }
+        }
+        self.panels = panels;
     }
 
     /// The score s = p / b^alpha, b relative to the input's box (section 3.2).
@@ -164,52 +212,84 @@ impl State {
     }
 }
 
-/// Searches from `start`. With a beam of one this is the paper's loop: of all candidates, each executed and repacked, the one with the
-/// highest score is kept, until a limit is met. A wider beam carries on the best few states, with equal sets of cuts once.
+/// Searches from `start`. With a beam of one and no further rounds this is the paper's loop: of all candidates, each executed and
+/// repacked, the one with the highest score is kept, until a limit is met. A wider beam carries on the best few states, with
+/// equal sets of cuts once. Further rounds begin where some cuts of a good state are taken back, until the work is spent.
 ///
 /// # Errors
 /// `canceled`.
 pub(crate) fn search(start: State, ground: &Ground<'_>, limits: &Limits, context: &Context) -> Result<Found> {
-    let unit = ground.unit;
-    let first = start.length;
     let mut found = Found { states: vec![start.clone()], stopped_by: "no_improvement", work: 0, tried: 0 };
-    let mut front = vec![start];
-    let mut failures = 0;
     let mut random = Random::new(context.seed);
+    let mut stopped_by = run(&start, limits.beam, ground, limits, &mut random, &mut found, context)?;
+    let mut idle = 0;
+    while limits.rounds && ground.mesh.is_none() && !found.states[0].cuts.is_empty() && idle < IDLE_ROUNDS {
+        if let Some(limit) = over(&found, limits, context) {
+            stopped_by = limit;
+            break;
+        }
+        let from = found.states[random.below(found.states.len().min(3))].clone();
+        let Some(next) = from.without_some(&start, ground, &mut random, &mut found.work) else {
+            idle += 1;
+            continue;
+        };
+        let before = found.states[0].arrangement.efficiency;
+        run(&next, ROUND_BEAM, ground, limits, &mut random, &mut found, context)?;
+        idle = if found.states[0].arrangement.efficiency > before + limits.gain { 0 } else { idle + 1 };
+    }
+    found.stopped_by = stopped_by;
+    Ok(found)
+}
+
+/// The limit that was met, of those that end all rounds.
+fn over(found: &Found, limits: &Limits, context: &Context) -> Option<&'static str> {
+    if found.states[0].arrangement.efficiency >= limits.target {
+        return Some("packing_efficiency");
+    }
+    if found.work >= limits.work {
+        return Some("work_budget");
+    }
+    context.out_of_time().then_some("time_limit")
+}
+
+/// One round; why it ended.
+fn run(
+    start: &State,
+    beam: usize,
+    ground: &Ground<'_>,
+    limits: &Limits,
+    random: &mut Random,
+    found: &mut Found,
+    context: &Context,
+) -> Result<&'static str> {
+    let mut front = vec![start.clone()];
+    keep(&mut found.states, start);
+    let mut failures = 0;
     loop {
         context.check()?;
-        if found.states[0].arrangement.efficiency >= limits.target {
-            found.stopped_by = "packing_efficiency";
-            break;
+        if let Some(limit) = over(found, limits, context) {
+            return Ok(limit);
         }
-        if found.work >= limits.work {
-            found.stopped_by = "work_budget";
-            break;
-        }
-        if context.out_of_time() {
-            found.stopped_by = "time_limit";
-            break;
-        }
-        let done = front.first().map_or(0.0, |s| (s.length - first) / (limits.length - first).max(1e-9));
-        context.step(0.1 + 0.6 * done.min(1.0), &format!("cutting: {} charts", front[0].panels.len()))?;
-        let Some(next) = step(&front, ground, limits, &mut random, &mut found, context)? else { break };
+        context.step(0.1 + 0.6 * (found.work as f64 / limits.work as f64).min(1.0), "cutting")?;
+        let next = match step(&front, ground, limits, random, found, context)? {
+            Ok(next) => next,
+            Err(limit) => return Ok(limit),
+        };
         let before = found.states[0].arrangement.efficiency;
         for state in &next {
             keep(&mut found.states, state);
         }
         failures = if found.states[0].arrangement.efficiency > before + limits.gain { 0 } else { failures + 1 };
         if failures >= limits.patience {
-            found.stopped_by = "no_improvement";
-            break;
+            return Ok("no_improvement");
         }
         front = next;
-        front.sort_by(|a, b| b.score(unit, limits.alpha).total_cmp(&a.score(unit, limits.alpha)));
-        front.truncate(limits.beam);
+        front.sort_by(|a, b| b.score(ground.unit, limits.alpha).total_cmp(&a.score(ground.unit, limits.alpha)));
+        front.truncate(beam);
     }
-    Ok(found)
 }
 
-/// All candidates of all states, executed and arranged; `None` when there are none within the limits.
+/// All candidates of all states, executed and arranged; or the limit that leaves none.
 fn step(
     front: &[State],
     ground: &Ground<'_>,
@@ -217,7 +297,7 @@ fn step(
     random: &mut Random,
     found: &mut Found,
     context: &Context,
-) -> Result<Option<Vec<State>>> {
+) -> Result<std::result::Result<Vec<State>, &'static str>> {
     let mut jobs: Vec<(usize, Candidate)> = Vec::new();
     for (i, state) in front.iter().enumerate() {
         jobs.extend(state.candidates(ground, random).into_iter().map(|c| (i, c)));
@@ -231,12 +311,11 @@ fn step(
     let too_long = within > cut.len();
     cut.retain(|s| s.panels.len() <= limits.charts);
     if cut.is_empty() {
-        found.stopped_by = match (any, too_long) {
+        return Ok(Err(match (any, too_long) {
             (false, _) => "no_improvement",
             (true, true) => "boundary_length",
             (true, false) => "charts",
-        };
-        return Ok(None);
+        }));
     }
     // The same cuts in another order have the same length.
     cut.sort_by(|a, b| a.length.total_cmp(&b.length).then(a.panels.len().cmp(&b.panels.len())));
@@ -257,11 +336,16 @@ fn step(
             next.push(state);
         }
     }
-    Ok((!next.is_empty()).then_some(next))
+    Ok(if next.is_empty() { Err("no_improvement") } else { Ok(next) })
 }
 
 /// Keeps the best states, by packing efficiency, then by length.
 fn keep(best: &mut Vec<State>, state: &State) {
+    let same = |b: &State| (b.length - state.length).abs() <= 1e-9 * b.length && b.panels.len() == state.panels.len();
+    if best.iter().any(|b| same(b) && b.arrangement.efficiency >= state.arrangement.efficiency) {
+        return;
+    }
+    best.retain(|b| !same(b));
     let worse = |a: &State, b: &State| {
         b.arrangement.efficiency.total_cmp(&a.arrangement.efficiency).then(a.length.total_cmp(&b.length))
     };

@@ -1,0 +1,288 @@
+//! The stage `box_cutter`: Limper, Vining and Sheffer 2018, *Box Cutter: Atlas Refinement for Efficient Packing via Void Elimination*.
+//!
+//! Charts that overlap themselves are cut until they do not (4.1), charts are welded where that costs nothing (4.2); then cuts
+//! along the sides of void boxes are searched for that make packing better (3), within a budget of boundary length. Panels, the
+//! pieces of the search, are outlines in their chart's own coordinates: a candidate is executed and packed in
+//! milliseconds, and only what the search chose is cut into the mesh.
+
+mod arrange;
+mod candidates;
+mod edges;
+mod field;
+mod lines;
+mod outline;
+pub mod overlap;
+mod panel;
+pub mod params;
+mod search;
+mod start;
+mod void;
+mod weld;
+
+use glam::DVec2;
+use serde_json::{Map, Value, json};
+
+use self::arrange::Sheet;
+use self::candidates::Choice;
+use self::field::Field;
+use self::panel::Raster;
+use self::params::{BoxCutter, Cuts, Search};
+use self::search::{Found, Ground, Limits, State, search};
+use super::options::{Options, OverlapMode, PackSearch, Rotation};
+use super::pack::{keeps_input, lay_out};
+use super::stage::{Frame, Staged};
+use crate::atlas::{Atlas, ChartId, Charts, HalfEdge, Topology, clusters};
+use crate::context::Context;
+use crate::error::{Failure, Result, Warning};
+use crate::packing::Pitch;
+
+/// Cells along the side of a square that would hold everything, by number of panels.
+const CELLS: [(usize, f64); 3] = [(60, 160.0), (200, 208.0), (usize::MAX, 288.0)];
+/// Words of occupancy that the search may look at.
+const WORK: u64 = 4_000_000_000;
+/// States whose cuts are made and packed at the fine resolution.
+const FINALS: usize = 3;
+
+/// Cuts and repacks.
+///
+/// `weights` is the importance at the corners of each face.
+///
+/// # Errors
+/// `too_large` when a chart fits on no sheet, `canceled`.
+pub(crate) fn box_cutter(
+    atlas: &Atlas,
+    frame: &Frame,
+    weights: Option<&[[f64; 3]]>,
+    params: &BoxCutter,
+    options: &Options,
+    context: &Context,
+) -> Result<Staged> {
+    let unit = longest_side(atlas);
+    let mut figures = Map::new();
+    let clean = without_overlaps(atlas, frame, weights, params, options, &mut figures, context)?;
+
+    let topology = Topology::new(&clean);
+    let charts = Charts::new(&topology);
+    let together = clusters(&clean, &charts, options.atlas.overlaps);
+    let along_edges = params.cuts == Cuts::Edges || params.cuts == Cuts::Auto && frame.animated;
+    let panels = start::panels(&clean, &topology, &charts, &together, along_edges, options.pack.rotation);
+    let held: f64 = panels.iter().filter(|p| !p.cuttable()).map(|p| p.area).sum();
+    let total: f64 = panels.iter().map(|p| p.area).sum();
+    let length: f64 = panels.iter().map(|p| p.length).sum();
+    let sheet = sheet(&panels, frame, options);
+    let (arrangement, _) = sheet.arrange(&panels);
+    let Some(arrangement) = arrangement else { return Err(Failure::internal("no strip holds the panels")) };
+    let ground = Ground {
+        sheet,
+        choice: Choice {
+            boxes: params.void_boxes as usize,
+            shared: params.void_overlap,
+            shift: params.line_shift,
+            least: params.min_extent * unit,
+            random: params.search == Search::Random,
+        },
+        field: weights.filter(|_| !along_edges).map(|_| Field::new(&clean, &charts, &corner_weights(&clean, weights))),
+        mesh: along_edges.then(|| start::mesh(&clean, &topology, weights)),
+        unit,
+    };
+    let limits = Limits {
+        length: params.max_boundary_length.map_or(f64::INFINITY, |b| b * length),
+        target: params.target_packing_efficiency.unwrap_or(f64::INFINITY),
+        charts: params.max_charts.map_or(usize::MAX, |n| n as usize),
+        work: options.work_budget.unwrap_or(WORK),
+        alpha: params.alpha,
+        gain: params.min_improvement,
+        patience: params.patience,
+        beam: if params.search == Search::Beam { params.beam as usize } else { 1 },
+        rounds: params.search == Search::Beam,
+    };
+    let start = State { panels, arrangement, length, weighted: length, cuts: Vec::new() };
+    let found = search(start, &ground, &limits, context)?;
+
+    let (state, laid, work) = finish(&clean, &topology, &charts, &found, unit, frame, options, context)?;
+    figures.extend([
+        ("work".to_owned(), json!(found.work + work)),
+        ("candidates".to_owned(), json!(found.tried)),
+        ("cuts".to_owned(), json!(state.cuts.len())),
+        ("charts".to_owned(), json!(state.panels.len())),
+        ("boundary_length_ratio".to_owned(), json!(state.length / length.max(1e-300))),
+        ("held_back".to_owned(), json!(held / total.max(1e-300))),
+    ]);
+    if held > 0.0 {
+        context.warn(Warning::new(
+            "held_back",
+            format!(
+                "{:.1} % of the area of atlas {} is not cut: charts that share texels, or that overlap themselves",
+                100.0 * held / total,
+                frame.id
+            ),
+        ));
+    }
+    let staged = Staged { atlas: laid, stopped_by: found.stopped_by, figures, kept: false };
+    if keeps_input(atlas, &staged.atlas, frame, options) {
+        return Ok(staged.undone(atlas, frame, context));
+    }
+    Ok(staged)
+}
+
+/// Overlap removal and welding (section 4). What it changed lies apart from the rest afterwards.
+fn without_overlaps(
+    atlas: &Atlas,
+    frame: &Frame,
+    weights: Option<&[[f64; 3]]>,
+    params: &BoxCutter,
+    options: &Options,
+    figures: &mut Map<String, Value>,
+    context: &Context,
+) -> Result<Atlas> {
+    let charts = Charts::new(&Topology::new(atlas));
+    let together = clusters(atlas, &charts, options.atlas.overlaps);
+    // Neither step makes, drops or renumbers faces: what holds of a chart is known by its faces.
+    let alone: Vec<bool> = charts
+        .of_face
+        .iter()
+        .map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1)
+        .collect();
+    let touchable = |charts: &Charts, chart: ChartId| charts.faces[chart.index()].iter().all(|f| alone[f.index()]);
+    let before = atlas.clone();
+    let mut next = atlas.clone();
+    if params.remove_overlaps {
+        context.step(0.02, "removing overlaps")?;
+        let edge_weight = weights.map(|w| {
+            move |h: HalfEdge| {
+                let (f, k) = (h as usize / 3, h as usize % 3);
+                (w[f][k] + w[f][(k + 1) % 3]) * 0.5
+            }
+        });
+        let weight = edge_weight.as_ref().map(|w| w as &(dyn Fn(HalfEdge) -> f64 + Sync));
+        let removed = overlap::remove_overlaps(&next, &|c| touchable(&charts, c), weight, context)?;
+        figures.insert("overlapping_charts".to_owned(), json!(removed.charts_touched));
+        figures.insert("overlap_cuts".to_owned(), json!(removed.cut_length / border(atlas).max(1e-300)));
+        next = removed.atlas;
+    }
+    // A weld turns a chart by any angle: texels that shall not be resampled stay where they are.
+    if params.weld && (options.pack.rotation == Rotation::Any || frame.is_virtual) {
+        context.step(0.06, "welding")?;
+        let charts = Charts::new(&Topology::new(&next));
+        let efficiency = |a: &Atlas| packed_efficiency(a, frame, options);
+        let welded = weld::weld(&next, &|c| touchable(&charts, c), params.weld_loss, &efficiency, context)?;
+        figures.insert("welds".to_owned(), json!(welded.welds));
+        next = welded.atlas;
+    }
+    if next == before {
+        return Ok(next);
+    }
+    figures.insert("overlap_free_length_ratio".to_owned(), json!(border(&next) / border(atlas).max(1e-300)));
+    let changed: Vec<bool> = next
+        .faces()
+        .map(|f| before.corners[f.index()] != next.corners[f.index()] || before.uv_triangle(f) != next.uv_triangle(f))
+        .collect();
+    let cut: std::collections::BTreeSet<ChartId> =
+        changed.iter().zip(&charts.of_face).zip(&alone).filter(|((c, _), alone)| **c && **alone).map(|((_, chart), _)| *chart).collect();
+    let moved: Vec<bool> = charts.of_face.iter().map(|c| cut.contains(c)).collect();
+    let step = f64::from(frame.unit) * 64.0;
+    Ok(start::set_apart(&next, &moved, step))
+}
+
+/// Makes the cuts of the best few states, packs each, and gives the best packing.
+#[expect(clippy::too_many_arguments, reason = "the end of one routine, told apart for its length")]
+fn finish(
+    clean: &Atlas,
+    topology: &Topology,
+    charts: &Charts,
+    found: &Found,
+    unit: f64,
+    frame: &Frame,
+    options: &Options,
+    context: &Context,
+) -> Result<(State, Atlas, u64)> {
+    let finals = &found.states[..found.states.len().min(FINALS)];
+    let fast = Options { pack: super::options::Pack { search: PackSearch::Fast, ..options.pack.clone() }, ..options.clone() };
+    let mut best: Option<(f64, &State, Atlas)> = None;
+    let mut work = 0;
+    for (n, state) in finals.iter().enumerate() {
+        context.step(0.7 + 0.2 * n as f64 / finals.len() as f64, "packing the best")?;
+        let cut = start::apply(clean, topology, charts, &state.cuts, unit);
+        let (laid, own) = lay_out(&cut, frame, &fast, context)?;
+        work += own;
+        let efficiency = efficiency(&laid);
+        if best.as_ref().is_none_or(|(e, ..)| efficiency > *e) {
+            best = Some((efficiency, state, laid));
+        }
+    }
+    let Some((_, state, laid)) = best else { return Err(Failure::internal("a search without a state")) };
+    Ok((state.clone(), laid, work))
+}
+
+/// How panels are rasterised and on which strips they are tried.
+fn sheet(panels: &[std::sync::Arc<panel::Panel>], frame: &Frame, options: &Options) -> Sheet {
+    let gutter = f64::from(frame.gutter(&options.pack)) * f64::from(frame.unit);
+    let grown: f64 = panels.iter().map(|p| p.area + 0.5 * gutter * p.length).sum();
+    let side = (grown / 0.75).sqrt().max(1e-9);
+    let cells = CELLS.iter().find(|(n, _)| panels.len() <= *n).map_or(160.0, |(_, c)| *c);
+    let cell = side / cells;
+    let longest = panels.iter().map(|p| {
+        let (low, high) = p.outline.bounds();
+        if low.is_finite() { ((high - low).length() + gutter) / cell } else { 0.0 }
+    });
+    let longest = longest.fold(0.0, f64::max).min(1e5) as usize + 4;
+    let aspect = options.pack.aspect;
+    let count = if panels.len() > 60 { 4 } else { 6 };
+    let base = aspect.map_or(1.0, f64::sqrt);
+    let (narrow, wide): (f64, f64) = if aspect.is_some() { (0.95, 1.2) } else { (0.7, 1.5) };
+    let mut widths: Vec<usize> = (0..count)
+        .map(|k| cells * base * narrow * (wide / narrow).powf(f64::from(k) / f64::from(count - 1)))
+        .map(|w| w as usize)
+        .collect();
+    widths.push(longest);
+    let widest = widths.iter().copied().max().unwrap_or(longest);
+    let raster = Raster {
+        cell,
+        inflate: gutter / 2.0,
+        pitch: Pitch::new(widest, widest),
+        rotation: options.pack.rotation,
+        mirror: options.pack.mirror,
+    };
+    Sheet { raster, widths, aspect, height: 8 * cells as usize + longest }
+}
+
+/// Packing efficiency at the resolution of the search.
+fn packed_efficiency(atlas: &Atlas, frame: &Frame, options: &Options) -> Result<f64> {
+    let topology = Topology::new(atlas);
+    let charts = Charts::new(&topology);
+    // Where charts were cut or moved they may lie on each other: each is its own.
+    let together = clusters(atlas, &charts, OverlapMode::Separate);
+    let panels = start::panels(atlas, &topology, &charts, &together, false, options.pack.rotation);
+    Ok(sheet(&panels, frame, options).arrange(&panels).0.map_or(0.0, |a| a.efficiency))
+}
+
+/// Area of the charts over the area of their boxes, page by page.
+fn efficiency(atlas: &Atlas) -> f64 {
+    let mut boxes = vec![(DVec2::INFINITY, DVec2::NEG_INFINITY); atlas.sheets.len()];
+    let mut area = 0.0;
+    for face in atlas.faces() {
+        area += atlas.uv_area(face).abs();
+        let own = &mut boxes[usize::from(atlas.page[face.index()])];
+        for p in atlas.uv_triangle(face) {
+            *own = (own.0.min(p), own.1.max(p));
+        }
+    }
+    let whole: f64 = boxes.iter().filter(|b| b.0.is_finite()).map(|b| (b.1 - b.0).element_product()).sum();
+    area / whole.max(1e-300)
+}
+
+fn longest_side(atlas: &Atlas) -> f64 {
+    let points = || atlas.corners.iter().flatten().map(|u| atlas.uv[u.index()]).filter(|p| p.is_finite());
+    let low = points().fold(DVec2::INFINITY, DVec2::min);
+    let high = points().fold(DVec2::NEG_INFINITY, DVec2::max);
+    if low.is_finite() { (high - low).max_element().max(1e-9) } else { 1.0 }
+}
+
+fn border(atlas: &Atlas) -> f64 {
+    crate::atlas::seams::border_length(atlas, &Topology::new(atlas))
+}
+
+/// The weights by face; no step before the cuts adds or drops faces.
+fn corner_weights(atlas: &Atlas, weights: Option<&[[f64; 3]]>) -> Vec<[f64; 3]> {
+    weights.map_or_else(|| vec![[1.0; 3]; atlas.face_count()], <[_]>::to_vec)
+}

@@ -1,0 +1,137 @@
+//! From an Atlas to panels, and from the cuts back to an Atlas.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::edges::{Mesh, Patch};
+use super::outline::Outline;
+use super::panel::Panel;
+use super::search::Cut;
+use crate::atlas::{
+    Atlas, ChartId, Charts, Clusters, FaceId, Loops, Segment, Slicer, Topology, overlaps,
+};
+use crate::refine::options::Rotation;
+
+/// Overlapping pairs that are looked for; beyond, charts are told apart by their areas alone.
+const PAIRS: usize = 1_000_000;
+/// Relative difference of areas up to which an outline describes its chart.
+const SAME_AREA: f64 = 1e-6;
+
+/// The charts, or clusters of charts, as panels. A cluster, a chart that overlaps itself and one whose border is not that of a
+/// disk with holes cannot be cut.
+pub(crate) fn panels(
+    atlas: &Atlas,
+    topology: &Topology,
+    charts: &Charts,
+    together: &Clusters,
+    along_edges: bool,
+    rotation: Rotation,
+) -> Vec<Arc<Panel>> {
+    let loops = Loops::new(topology, charts);
+    let mut borders: Vec<Vec<Vec<DVec2>>> = vec![Vec::new(); charts.len()];
+    for i in 0..loops.chart.len() {
+        borders[loops.chart[i].index()].push(loops.uv_vertices(atlas, i).map(|u| atlas.uv[u.index()]).collect());
+    }
+    let mut broken: BTreeSet<ChartId> = topology.crowded.iter().map(|p| charts.of_face[p[0].index()]).collect();
+    broken.extend(overlaps(atlas, charts, PAIRS).intra.iter().map(|p| charts.of_face[p.0.index()]));
+    together
+        .charts
+        .par_iter()
+        .map(|own| {
+            let faces = || own.iter().flat_map(|c| charts.faces[c.index()].iter().copied());
+            let area: f64 = faces().map(|f| atlas.uv_area(f).abs()).sum();
+            let id = own[0].0;
+            let mut outline = Outline { loops: own.iter().flat_map(|c| borders[c.index()].iter().cloned()).collect() };
+            if outline.area() < 0.0 {
+                outline.loops.iter_mut().for_each(|l| l.reverse());
+            }
+            let simple = own.len() == 1
+                && !broken.contains(&own[0])
+                && (outline.area() - area).abs() <= SAME_AREA * area
+                && outline.loops.iter().flatten().all(|p| p.is_finite());
+            if !simple {
+                let triangles = faces().map(|f| atlas.uv_triangle(f)).filter(|t| t.iter().all(|p| p.is_finite())).collect();
+                return Arc::new(Panel::rigid(id, outline, triangles, area, rotation));
+            }
+            let patch = along_edges.then(|| Patch { faces: Arc::new(faces().collect()), ..Patch::default() });
+            Arc::new(Panel::new(id, outline, patch, rotation))
+        })
+        .collect()
+}
+
+/// What cutting along edges needs, with the importance of each face's corners.
+pub(crate) fn mesh<'a>(atlas: &'a Atlas, topology: &'a Topology, weights: Option<&'a [[f64; 3]]>) -> Mesh<'a> {
+    Mesh::new(atlas, topology, weights)
+}
+
+/// Lines pass through a vertex that is nearer than this, relative to the longest side of the layout's box.
+const SNAP: f64 = 1e-5;
+
+/// Makes the cuts of a search. `unit` is the longest side of the layout's box in texels. The charts keep their coordinates.
+pub(crate) fn apply(atlas: &Atlas, topology: &Topology, charts: &Charts, cuts: &[Arc<Cut>], unit: f64) -> Atlas {
+    let along: Vec<_> = cuts
+        .iter()
+        .filter_map(|c| match &**c {
+            Cut::Edges(edges) => Some(edges.iter().copied()),
+            Cut::Straight { .. } => None,
+        })
+        .flatten()
+        .collect();
+    if !along.is_empty() {
+        return atlas.cut_along(topology, &along);
+    }
+    let mut slicer = Slicer::new(atlas.clone(), SNAP * unit);
+    let mut faces: Vec<Vec<FaceId>> = charts.faces.clone();
+    let mut of_face: Vec<ChartId> = charts.of_face.clone();
+    for cut in cuts {
+        let Cut::Straight { chart, line, chords } = &**cut else { continue };
+        for &(from, to) in chords {
+            let mut own = std::mem::take(&mut faces[*chart as usize]);
+            let mut others = Vec::new();
+            slicer.slice(&mut own, Segment { from: line.at(from), to: line.at(to) }, &mut others);
+            // New faces are numbered as they come, over both lists.
+            let mut fresh: Vec<(FaceId, ChartId)> =
+                own.iter().filter(|f| f.index() >= of_face.len()).map(|f| (*f, ChartId(*chart))).collect();
+            faces[*chart as usize] = own;
+            for (new, parent) in others {
+                let home = of_face[parent.index()];
+                faces[home.index()].push(new);
+                fresh.push((new, home));
+            }
+            fresh.sort_unstable();
+            of_face.extend(fresh.iter().map(|f| f.1));
+        }
+    }
+    slicer.finish()
+}
+
+/// Moves the charts that hold a face of `moved` to places of their own beside the layout, by whole multiples of `step` texels: where they
+/// were, they would seem to share texels with others.
+pub(crate) fn set_apart(atlas: &Atlas, moved: &[bool], step: f64) -> Atlas {
+    let charts = Charts::new(&Topology::new(atlas));
+    let points = || atlas.corners.iter().flatten().map(|u| atlas.uv[u.index()]).filter(|p| p.is_finite());
+    let high = points().fold(DVec2::ZERO, DVec2::max);
+    let mut x = (high.x / step).ceil() * step + step;
+    let moves: Vec<_> = charts
+        .faces
+        .iter()
+        .map(|faces| {
+            let mut by = DVec2::ZERO;
+            if faces.iter().any(|f| moved[f.index()]) {
+                let own = || faces.iter().flat_map(|f| atlas.uv_triangle(*f)).filter(|p| p.is_finite());
+                let low = own().fold(DVec2::INFINITY, DVec2::min);
+                let high = own().fold(DVec2::NEG_INFINITY, DVec2::max);
+                if low.is_finite() {
+                    by = DVec2::new(x - (low.x / step).floor() * step, -(low.y / step).floor() * step);
+                    x += ((high.x - low.x) / step).ceil() * step + 2.0 * step;
+                }
+            }
+            let page = faces.first().map_or(0, |f| atlas.page[f.index()]);
+            crate::atlas::Move { page, linear: glam::DMat2::IDENTITY, translate: by }
+        })
+        .collect();
+    atlas.moved(&charts, &moves, atlas.sheets.clone())
+}
