@@ -44,7 +44,7 @@ const ROUNDS: usize = 4;
 
 /// What overlap removal did.
 #[derive(Debug, Clone)]
-pub(crate) struct Removed {
+pub struct Removed {
     /// The atlas, no chart of which overlaps itself any more (of those that might be touched).
     pub atlas: Atlas,
     /// UV length of the cuts, both sides counted, as in the boundary length.
@@ -59,7 +59,7 @@ pub(crate) struct Removed {
 
 /// Which solutions are looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Bias {
+pub enum Bias {
     /// Never count bias edges.
     Off,
     /// Always count them, as published.
@@ -71,7 +71,7 @@ pub(crate) enum Bias {
 
 /// How the multicut is looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Method {
+pub enum Method {
     /// Greedy contraction, then Kernighan-Lin with joins: the paper and nothing else.
     Published,
     /// The best of several starts, with exact cuts between pairs of clusters and neighbourhoods split anew.
@@ -80,7 +80,7 @@ pub(crate) enum Method {
 
 /// Cuts every chart that overlaps itself, and for which `touchable` holds, into charts that do not (Box Cutter, section 4.1).
 /// `weight` makes cutting an edge dearer or cheaper (importance; 1 is neutral).
-pub(crate) fn remove_overlaps(
+pub fn remove_overlaps(
     atlas: &Atlas,
     touchable: &(dyn Fn(ChartId) -> bool + Sync),
     weight: Option<&(dyn Fn(HalfEdge) -> f64 + Sync)>,
@@ -90,7 +90,7 @@ pub(crate) fn remove_overlaps(
 }
 
 /// [`remove_overlaps`] with a choice of bias and method.
-pub(crate) fn remove_overlaps_with(
+pub fn remove_overlaps_with(
     atlas: &Atlas,
     touchable: &(dyn Fn(ChartId) -> bool + Sync),
     weight: Option<&(dyn Fn(HalfEdge) -> f64 + Sync)>,

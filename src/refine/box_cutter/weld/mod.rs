@@ -21,7 +21,7 @@ const PACKINGS: usize = 48;
 
 /// What welding did.
 #[derive(Debug, Clone)]
-pub(crate) struct Welded {
+pub struct Welded {
     /// The atlas; pack it before use.
     pub atlas: Atlas,
     /// Pairs of charts joined.
@@ -36,7 +36,7 @@ pub(crate) struct Welded {
 
 /// Welds the charts for which `touchable` holds. `efficiency` packs an atlas and gives its packing efficiency in 0..=1; it may fall
 /// by `loss` (0.10 in the paper: percentage points, not parts) below what it was. With an infinite `loss` nothing is packed.
-pub(crate) fn weld(
+pub fn weld(
     atlas: &Atlas,
     touchable: &(dyn Fn(ChartId) -> bool + Sync),
     loss: f64,
