@@ -17,7 +17,7 @@ use crate::context::Context;
 use crate::error::Result;
 
 /// Packings that may be computed to keep the efficiency.
-const PACKINGS: usize = 48;
+const PACKINGS: usize = 24;
 
 /// What welding did.
 #[derive(Debug, Clone)]
@@ -62,7 +62,7 @@ pub fn weld(
         // As many of the welds, in order, as packing bears; the next one is never tried again.
         let (mut good, mut bad) = (0, applied.len());
         let mut kept = snapshot.clone();
-        while bad - good > 1 && guard.packings < PACKINGS {
+        while bad - good > 1 && guard.packings < PACKINGS && !context.out_of_time() {
             context.check()?;
             let middle = good.midpoint(bad);
             let mut next = snapshot.clone();
@@ -78,7 +78,7 @@ pub fn weld(
         kept.ban(&applied[bad - 1]);
         undone += 1;
         state = kept;
-        if guard.packings >= PACKINGS {
+        if guard.packings >= PACKINGS || context.out_of_time() {
             break;
         }
     }
