@@ -25,11 +25,11 @@ pub fn remove_overlaps_along_outlines(atlas: &Atlas, outlines: Outlines, context
     let mut of_face = vec![0u32; atlas.face_count()];
     for faces in &charts.faces {
         context.check()?;
-        let pairs = graph::list_pairs(atlas, faces);
+        let pairs = graph::list_pairs(atlas, faces, context)?;
         if pairs.is_empty() {
             continue;
         }
-        let graph = graph::build(&scale, faces, &pairs, &[]);
+        let graph = graph::build(&scale, faces, &pairs);
         let regions = regions(&graph);
         // 0 is what remains of the chart.
         let mut label: Vec<u32> = vec![u32::MAX; graph.len()];
@@ -47,7 +47,7 @@ pub fn remove_overlaps_along_outlines(atlas: &Atlas, outlines: Outlines, context
                 continue;
             }
             let inner: Vec<_> = region.iter().map(|&v| graph.faces[v as usize]).collect();
-            let part = graph::build(&scale, &inner, &[], &[]);
+            let part = graph::build(&scale, &inner, &[]);
             let parts = grow::grow(atlas, &part, &mut 0, context)?;
             for (&v, l) in region.iter().zip(&parts) {
                 label[v as usize] = next + l;

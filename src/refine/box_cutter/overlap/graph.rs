@@ -6,6 +6,8 @@ use crate::atlas::bvh::{Bounds, Bvh};
 use crate::atlas::overlap::faces_with_area;
 use crate::atlas::seams::{rigid_seams, seam_runs, uv_length, weld_tolerance};
 use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, NONE, Topology, triangles_overlap};
+use crate::context::Context;
+use crate::error::Result;
 
 /// An edge of average length weighs this much. Weights are whole numbers, so that sums do not depend on their order.
 pub(crate) const UNIT: f64 = 65536.0;
@@ -59,7 +61,7 @@ impl Arcs {
 }
 
 /// The graph of one chart. Nodes are positions in `faces`.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug)]
 pub(crate) struct Graph {
     /// The chart's triangles.
     pub faces: Vec<FaceId>,
@@ -119,9 +121,9 @@ impl Graph {
         !self.bias.to.is_empty()
     }
 
-    /// The same graph without its bias edges.
-    pub(crate) fn without_bias(&self) -> Graph {
-        Graph { bias: Arcs::new(self.len(), &[]), ..self.clone() }
+    /// Sets the bias edges.
+    pub(crate) fn set_bias(&mut self, edges: &[(u32, u32, i64)]) {
+        self.bias = Arcs::new(self.len(), edges);
     }
 
     /// What a labelling costs: the weight of all edges cut, less the bias gained.
@@ -169,8 +171,8 @@ impl<'a> Scale<'a> {
     }
 }
 
-/// Builds the graph of a chart from its overlapping pairs. `local` gives the node of a face of this chart.
-pub(crate) fn build(scale: &Scale, faces: &[FaceId], pairs: &[(u32, u32)], bias: &[(u32, u32, i64)]) -> Graph {
+/// Builds the graph of a chart from its overlapping pairs, without bias. Nodes are positions in `faces`, which ascend.
+pub(crate) fn build(scale: &Scale, faces: &[FaceId], pairs: &[(u32, u32)]) -> Graph {
     let local = |f: u32| faces.binary_search(&FaceId(f)).ok().map(|i| i as u32);
     let mut near = Vec::with_capacity(faces.len() * 3 / 2);
     for (i, f) in faces.iter().enumerate() {
@@ -187,7 +189,7 @@ pub(crate) fn build(scale: &Scale, faces: &[FaceId], pairs: &[(u32, u32)], bias:
     // Faces that crowd about one edge hang together, but it costs nothing to part them: their edge is a border already.
     let crowded = scale.topology.crowded.iter().filter_map(|p| Some((local(p[0].0)?, local(p[1].0)?, 1)));
     near.extend(crowded.filter(|e| e.0 != e.1));
-    Graph { faces: faces.to_vec(), ..Graph::from_edges(faces.len(), &near, bias, pairs) }
+    Graph { faces: faces.to_vec(), ..Graph::from_edges(faces.len(), &near, &[], pairs) }
 }
 
 /// Bias edges of the given charts, as faces: across each stretch of at least two edges of a globally continuous boundary of one
@@ -217,14 +219,20 @@ const ROUND: usize = 32;
 const TESTS_PER_FACE: usize = 4_000;
 
 /// Calls `visit` for blocks of overlapping pairs of the given faces, as positions in `faces`, in a fixed order, while it
-/// returns true. False when a limit on tests was hit.
-fn for_pairs(atlas: &Atlas, faces: &[FaceId], mut visit: impl FnMut(Vec<(u32, u32)>) -> bool) -> bool {
+/// returns true. False when it did not, or a limit on tests was hit.
+fn for_pairs(
+    atlas: &Atlas,
+    faces: &[FaceId],
+    context: &Context,
+    mut visit: impl FnMut(Vec<(u32, u32)>) -> bool,
+) -> Result<bool> {
     let solid = faces_with_area(atlas, faces.iter().copied());
     let tree = Bvh::new(&solid.iter().map(|&f| Bounds::of(&atlas.uv_triangle(f))).collect::<Vec<_>>());
     let sorted: Vec<FaceId> = tree.order.iter().map(|&i| solid[i as usize]).collect();
     let position = |f: FaceId| faces.binary_search(&f).unwrap_or(0) as u32;
     let starts: Vec<usize> = (0..sorted.len()).step_by(BLOCK).collect();
     for round in starts.chunks(ROUND) {
+        context.check()?;
         let parts: Vec<(Vec<(u32, u32)>, bool)> = round
             .par_iter()
             .map(|&start| {
@@ -251,30 +259,30 @@ fn for_pairs(atlas: &Atlas, faces: &[FaceId], mut visit: impl FnMut(Vec<(u32, u3
             .collect();
         for (pairs, complete) in parts {
             if !visit(pairs) || !complete {
-                return false;
+                return Ok(false);
             }
         }
     }
-    true
+    Ok(true)
 }
 
 /// How many pairs of the faces overlap, or `None` when there are more than `limit`.
-pub(crate) fn count_pairs(atlas: &Atlas, faces: &[FaceId], limit: usize) -> Option<usize> {
+pub(crate) fn count_pairs(atlas: &Atlas, faces: &[FaceId], limit: usize, context: &Context) -> Result<Option<usize>> {
     let mut count = 0;
-    let complete = for_pairs(atlas, faces, |pairs| {
+    let complete = for_pairs(atlas, faces, context, |pairs| {
         count += pairs.len();
         count <= limit
-    });
-    complete.then_some(count)
+    })?;
+    Ok(complete.then_some(count))
 }
 
 /// The overlapping pairs, as positions in `faces`, sorted.
-pub(crate) fn list_pairs(atlas: &Atlas, faces: &[FaceId]) -> Vec<(u32, u32)> {
+pub(crate) fn list_pairs(atlas: &Atlas, faces: &[FaceId], context: &Context) -> Result<Vec<(u32, u32)>> {
     let mut all = Vec::new();
-    for_pairs(atlas, faces, |pairs| {
+    for_pairs(atlas, faces, context, |pairs| {
         all.extend(pairs);
         true
-    });
+    })?;
     all.par_sort_unstable();
-    all
+    Ok(all)
 }

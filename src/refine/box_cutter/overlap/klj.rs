@@ -102,7 +102,7 @@ impl Chains {
         Ok(gain.max(0))
     }
 
-    /// The best chain of moves that starts among `start`, and its gain. Labels are as they were afterwards.
+    /// The best chain of moves that starts among `start`, and its gain. Afterwards labels are what they were before.
     fn chain(
         &mut self,
         graph: &Graph,
@@ -172,8 +172,9 @@ impl Chains {
         for &v in moves {
             partition.label[v as usize] = a + b - partition.label[v as usize];
         }
-        let mut nodes = partition.members[a as usize].clone();
-        nodes.extend(&partition.members[b as usize]);
+        // Taken, since a chain may leave nothing in one of them.
+        let mut nodes = std::mem::take(&mut partition.members[a as usize]);
+        nodes.append(&mut partition.members[b as usize]);
         nodes.sort_unstable();
         partition.rebuild(graph, &nodes);
     }

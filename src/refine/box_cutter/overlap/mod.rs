@@ -38,12 +38,13 @@ const PAIR_LIMIT: usize = 12_000_000;
 /// Edges and overlaps that the search for one chart may look at: this many, and more for large charts.
 const WORK: u64 = 50_000_000;
 const WORK_PER_NODE: u64 = 1_500;
-/// Charts are tested and cut again at most this often; growing apart leaves nothing to the second round.
+/// Charts are tested and cut again at most this often. One round is enough but for freaks of topology; what overlaps in the last
+/// is cut into single triangles, which cannot.
 const ROUNDS: usize = 4;
 
 /// What overlap removal did.
 #[derive(Debug, Clone)]
-pub(crate) struct Removed {
+pub struct Removed {
     /// The atlas, no chart of which overlaps itself any more (of those that might be touched).
     pub atlas: Atlas,
     /// UV length of the cuts, both sides counted, as in the boundary length.
@@ -58,7 +59,7 @@ pub(crate) struct Removed {
 
 /// Which solutions are looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Bias {
+pub enum Bias {
     /// Never count bias edges.
     Off,
     /// Always count them, as published.
@@ -70,7 +71,7 @@ pub(crate) enum Bias {
 
 /// How the multicut is looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Method {
+pub enum Method {
     /// Greedy contraction, then Kernighan-Lin with joins: the paper and nothing else.
     Published,
     /// The best of several starts, with exact cuts between pairs of clusters and neighbourhoods split anew.
@@ -79,7 +80,7 @@ pub(crate) enum Method {
 
 /// Cuts every chart that overlaps itself, and for which `touchable` holds, into charts that do not (Box Cutter, section 4.1).
 /// `weight` makes cutting an edge dearer or cheaper (importance; 1 is neutral).
-pub(crate) fn remove_overlaps(
+pub fn remove_overlaps(
     atlas: &Atlas,
     touchable: &(dyn Fn(ChartId) -> bool + Sync),
     weight: Option<&(dyn Fn(HalfEdge) -> f64 + Sync)>,
@@ -89,7 +90,7 @@ pub(crate) fn remove_overlaps(
 }
 
 /// [`remove_overlaps`] with a choice of bias and method.
-pub(crate) fn remove_overlaps_with(
+pub fn remove_overlaps_with(
     atlas: &Atlas,
     touchable: &(dyn Fn(ChartId) -> bool + Sync),
     weight: Option<&(dyn Fn(HalfEdge) -> f64 + Sync)>,
@@ -113,7 +114,13 @@ pub(crate) fn remove_overlaps_with(
             removed.charts_touched = found.len();
         }
         let scale = Scale::new(&removed.atlas, &topology, weight);
-        let labels = solve_all(&scale, &charts, &found, (if round == 0 { bias } else { Bias::Off }, method), context)?;
+        let labels = if round + 1 == ROUNDS {
+            let faces = |c: &(ChartId, Option<usize>)| charts.faces[c.0.index()].len() as u32;
+            let single = |n: u32| solve::Solved { label: (0..n).collect(), cost: 0, work: n.into(), cut_short: true };
+            found.iter().map(|c| single(faces(c))).collect()
+        } else {
+            solve_all(&scale, &charts, &found, (if round == 0 { bias } else { Bias::Off }, method), context)?
+        };
         let mut of_face = vec![0u32; removed.atlas.face_count()];
         for ((chart, _), solved) in found.iter().zip(labels) {
             removed.work += solved.work;
@@ -181,9 +188,12 @@ fn count_all(
     let mut found = Vec::new();
     for some in wanted.chunks(256) {
         context.check()?;
-        let counts: Vec<_> =
-            some.par_iter().map(|c| graph::count_pairs(atlas, &charts.faces[c.index()], PAIR_LIMIT)).collect();
-        found.extend(some.iter().copied().zip(counts).filter(|c| c.1 != Some(0)));
+        let count = |c: &ChartId| graph::count_pairs(atlas, &charts.faces[c.index()], PAIR_LIMIT, context);
+        let counts: Vec<Result<Option<usize>>> = some.par_iter().map(count).collect();
+        for (&chart, count) in some.iter().zip(counts) {
+            let count = count?;
+            found.extend((count != Some(0)).then_some((chart, count)));
+        }
     }
     Ok(found)
 }
@@ -239,29 +249,33 @@ fn solve_chart(
     context: &Context,
 ) -> Result<solve::Solved> {
     if pairs.is_none() {
-        let graph = graph::build(scale, faces, &[], &[]);
+        let graph = graph::build(scale, faces, &[]);
         let mut work = 0;
         let label = grow::grow(scale.atlas, &graph, &mut work, context)?;
         return Ok(solve::Solved { cost: graph.cost(&label), label, work, cut_short: true });
     }
-    let list = graph::list_pairs(scale.atlas, faces);
-    let graph = graph::build(scale, faces, &list, bias_edges);
+    let list = graph::list_pairs(scale.atlas, faces, context)?;
+    let mut graph = graph::build(scale, faces, &list);
     drop(list);
     let solve = match method {
         Method::Published => solve::solve_as_published,
         Method::Best => solve::solve,
     };
     let limit = WORK.max(WORK_PER_NODE * faces.len() as u64);
-    if !graph.has_bias() || bias != Bias::Trial {
-        return solve(&graph, limit, context);
+    let biased = bias != Bias::Off && !bias_edges.is_empty();
+    if biased && bias == Bias::On {
+        graph.set_bias(bias_edges);
     }
-    let plain = solve(&graph.without_bias(), limit, context)?;
+    let plain = solve(&graph, limit, context)?;
+    if !biased || bias == Bias::On {
+        return Ok(plain);
+    }
+    graph.set_bias(bias_edges);
     let biased = solve(&graph, limit, context)?;
     let work = plain.work + biased.work;
-    let cut_short = plain.cut_short || biased.cut_short;
     let trial = |s: &solve::Solved| welded_length(scale, &graph, &s.label, context);
     let better = if trial(&biased)? < trial(&plain)? { biased } else { plain };
-    Ok(solve::Solved { work, cut_short, ..better })
+    Ok(solve::Solved { work, ..better })
 }
 
 /// The boundary, weighted, that a labelling leaves when all is welded that can be, packing left aside.

@@ -21,7 +21,8 @@ pub(crate) struct Solved {
     pub cost: i64,
     /// Edges and overlaps looked at.
     pub work: u64,
-    /// Whether the work limit ended the search.
+    /// Whether the work limit left a border of this solution unvisited. Starts not tried and neighbourhoods left unsplit do not
+    /// count: that search has no natural end.
     pub cut_short: bool,
 }
 
@@ -32,7 +33,7 @@ struct Search<'a> {
     splitter: Splitter,
     work: u64,
     limit: u64,
-    /// Whether the limit left a border unvisited. Neighbourhoods left unsplit do not count: that search has no natural end.
+    /// Whether the limit ended the last polish.
     cut_short: bool,
     context: &'a Context,
 }
@@ -43,7 +44,8 @@ pub(crate) fn solve_as_published(graph: &Graph, limit: u64, context: &Context) -
     let mut partition = Partition::singletons(graph);
     greedy::contract(graph, &mut partition, &mut search.work, context)?;
     search.polish(&mut partition, false)?;
-    Ok(search.solved(partition))
+    let cut_short = search.cut_short;
+    Ok(search.solved(partition, cut_short))
 }
 
 /// The best of contraction and of splitting top down, each polished with chains and minimum cuts, and then improved by splitting
@@ -54,6 +56,7 @@ pub(crate) fn solve(graph: &Graph, limit: u64, context: &Context) -> Result<Solv
     greedy::contract(graph, &mut best, &mut search.work, context)?;
     search.polish(&mut best, true)?;
     let mut cost = graph.cost(&best.label);
+    let mut cut_short = search.cut_short;
     for end in End::ALL {
         if search.spent() {
             break;
@@ -65,13 +68,11 @@ pub(crate) fn solve(graph: &Graph, limit: u64, context: &Context) -> Result<Solv
         search.polish(&mut next, true)?;
         let own = graph.cost(&next.label);
         if own < cost {
-            (best, cost) = (next, own);
+            (best, cost, cut_short) = (next, own, search.cut_short);
         }
     }
-    let complete = !search.cut_short;
     search.reshape(&mut best, &mut cost)?;
-    search.cut_short = !complete;
-    Ok(search.solved(best))
+    Ok(search.solved(best, cut_short))
 }
 
 impl<'a> Search<'a> {
@@ -92,14 +93,15 @@ impl<'a> Search<'a> {
         self.work >= self.limit || self.context.out_of_time()
     }
 
-    fn solved(self, partition: Partition) -> Solved {
+    fn solved(self, partition: Partition, cut_short: bool) -> Solved {
         let cost = self.graph.cost(&partition.label);
-        Solved { cost, work: self.work, cut_short: self.cut_short, label: partition.label }
+        Solved { cost, work: self.work, cut_short, label: partition.label }
     }
 
     /// Improves border after border until nothing gains. `exact` adds minimum cuts to the chains of Kernighan and Lin.
     fn polish(&mut self, partition: &mut Partition, exact: bool) -> Result<()> {
         let graph = self.graph;
+        self.cut_short = false;
         for _ in 0..ROUNDS {
             let mut gained = 0;
             let changed = std::mem::replace(&mut partition.dirty, vec![false; partition.members.len()]);

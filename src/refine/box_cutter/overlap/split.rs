@@ -56,7 +56,7 @@ impl Splitter {
             let nodes = partition.members[cluster as usize].clone();
             let clashes = |v: u32| graph.conflicts(v).iter().any(|&u| inside(u));
             *work += nodes.len() as u64;
-            let Some(seed) = self.seed(graph, &nodes, (end, &inside, &clashes)) else { continue };
+            let Some(seed) = self.seed(graph, &nodes, end, &inside, &clashes) else { continue };
             for &v in &nodes {
                 cutter.side[v as usize] = Side::Free;
             }
@@ -84,7 +84,9 @@ impl Splitter {
         &mut self,
         graph: &Graph,
         nodes: &[u32],
-        (end, inside, clashes): (End, &dyn Fn(u32) -> bool, &dyn Fn(u32) -> bool),
+        end: End,
+        inside: &dyn Fn(u32) -> bool,
+        clashes: &dyn Fn(u32) -> bool,
     ) -> Option<u32> {
         let first = nodes.iter().copied().find(|&v| clashes(v))?;
         match end {

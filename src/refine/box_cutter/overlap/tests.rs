@@ -150,12 +150,12 @@ fn growing_apart_needs_no_pairs_and_leaves_no_overlap() {
     let topology = Topology::new(&ring);
     let scale = Scale::new(&ring, &topology, None);
     let faces: Vec<FaceId> = ring.faces().collect();
-    let bare = graph::build(&scale, &faces, &[], &[]);
+    let bare = graph::build(&scale, &faces, &[]);
     let label = grow::grow(&ring, &bare, &mut 0, &Context::silent()).unwrap();
-    let full = graph::build(&scale, &faces, &graph::list_pairs(&ring, &faces), &[]);
+    let full = graph::build(&scale, &faces, &graph::list_pairs(&ring, &faces, &Context::silent()).unwrap());
     assert!(full.is_feasible(&label));
     assert!(label.iter().max().is_some_and(|m| *m <= 12), "a sheet is as large as it can be");
-    assert_eq!(graph::count_pairs(&ring, &faces, 10), None);
+    assert_eq!(graph::count_pairs(&ring, &faces, 10, &Context::silent()).unwrap(), None);
 }
 
 #[test]
@@ -165,6 +165,54 @@ fn the_usual_method_leaves_no_overlap_either() {
         let base = remove_overlaps_along_outlines(&both, outlines, &Context::silent()).unwrap();
         assert_eq!(self_overlaps(&base), 0);
     }
+}
+
+/// A band, closed on the surface, unrolled to a straight, 1.2 turns of a ring and a straight: it overlaps itself, but cut open in
+/// the middle of the ring instead of where it was, it would not.
+fn unrolled_band() -> Atlas {
+    let (straight, turn) = (50.0, 1.2 * std::f64::consts::TAU);
+    let along = 144;
+    let mut band = strip(along, 3, |t, s| {
+        let d = t * (2.0 * straight + 25.0 * turn);
+        let angle = ((d - straight) / 25.0).clamp(0.0, turn);
+        let before = (d - straight).min(0.0);
+        let after = (d - straight - 25.0 * turn).max(0.0);
+        let heading = DVec2::from_angle(angle);
+        heading * (before + after) + heading.perp() * (10.0 * s - 30.0)
+    });
+    let last = along as u32 * 4;
+    band.surface.triangles.iter_mut().flatten().filter(|v| v.0 >= last).for_each(|v| v.0 -= last);
+    band
+}
+
+#[test]
+fn a_cut_that_can_be_welded_costs_nothing_in_the_end() {
+    let band = unrolled_band();
+    let topology = Topology::new(&band);
+    let scale = Scale::new(&band, &topology, None);
+    assert_eq!(graph::bias_edges(&scale, &Charts::new(&topology), &[true]).len(), 3);
+    let removed = removed(&band);
+    assert_eq!(charts(&removed.atlas), 2);
+    assert!((removed.cut_length - 20.0).abs() < 1e-6);
+    let welded = weld::weld(&removed.atlas, &|_| true, f64::INFINITY, &|_| Ok(0.0), &Context::silent()).unwrap();
+    assert_eq!((charts(&welded.atlas), self_overlaps(&welded.atlas)), (1, 0));
+    assert!((welded.boundary_saved - 20.0).abs() < 1e-4);
+}
+
+#[test]
+fn bias_is_counted_when_asked_for() {
+    // A chain of six, the ends of which had better part, though nothing overlaps.
+    let near: Vec<_> = (0..5).map(|v| (v, v + 1, if v == 2 { 1 } else { 5 })).collect();
+    let graph = Graph::from_edges(6, &near, &[(0, 5, 4)], &[]);
+    let solved = solve::solve(&graph, u64::MAX, &Context::silent()).unwrap();
+    assert_eq!((solved.cost, solved.cost), (-3, optimum(&graph)));
+    let (on, trial) = (Bias::On, Bias::Trial);
+    let ring = ring(1.5, 60, 2);
+    let with = |bias| {
+        let options = (bias, Method::Published);
+        remove_overlaps_with(&ring, &|_| true, None, options, &Context::silent()).unwrap().atlas
+    };
+    assert_eq!(with(on), with(trial), "no seam, no difference");
 }
 
 #[test]

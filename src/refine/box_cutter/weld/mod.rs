@@ -17,11 +17,11 @@ use crate::context::Context;
 use crate::error::Result;
 
 /// Packings that may be computed to keep the efficiency.
-const PACKINGS: usize = 48;
+const PACKINGS: usize = 24;
 
 /// What welding did.
 #[derive(Debug, Clone)]
-pub(crate) struct Welded {
+pub struct Welded {
     /// The atlas; pack it before use.
     pub atlas: Atlas,
     /// Pairs of charts joined.
@@ -36,7 +36,7 @@ pub(crate) struct Welded {
 
 /// Welds the charts for which `touchable` holds. `efficiency` packs an atlas and gives its packing efficiency in 0..=1; it may fall
 /// by `loss` (0.10 in the paper: percentage points, not parts) below what it was. With an infinite `loss` nothing is packed.
-pub(crate) fn weld(
+pub fn weld(
     atlas: &Atlas,
     touchable: &(dyn Fn(ChartId) -> bool + Sync),
     loss: f64,
@@ -62,7 +62,7 @@ pub(crate) fn weld(
         // As many of the welds, in order, as packing bears; the next one is never tried again.
         let (mut good, mut bad) = (0, applied.len());
         let mut kept = snapshot.clone();
-        while bad - good > 1 && guard.packings < PACKINGS {
+        while bad - good > 1 && guard.packings < PACKINGS && !context.out_of_time() {
             context.check()?;
             let middle = good.midpoint(bad);
             let mut next = snapshot.clone();
@@ -78,7 +78,7 @@ pub(crate) fn weld(
         kept.ban(&applied[bad - 1]);
         undone += 1;
         state = kept;
-        if guard.packings >= PACKINGS {
+        if guard.packings >= PACKINGS || context.out_of_time() {
             break;
         }
     }
