@@ -206,6 +206,8 @@ fn finish(
         let (laid, own) = lay_out(&cut, frame, &fast, context)?;
         work += own;
         let efficiency = efficiency(&laid);
+        tracing::debug!(coarse = state.arrangement.efficiency, fine = efficiency, "packed");
+        if std::env::var("DBG").is_ok() { eprintln!("coarse {:.4} fine {:.4}", state.arrangement.efficiency, efficiency); }
         if best.as_ref().is_none_or(|(e, ..)| efficiency > *e) {
             best = Some((efficiency, state, laid));
         }

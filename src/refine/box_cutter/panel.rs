@@ -227,7 +227,7 @@ const BINS: usize = 180;
 fn best_axes(outline: &Outline) -> f64 {
     use std::f64::consts::FRAC_PI_2;
     let mut weight = [0.0f64; BINS];
-    let mut edges: Vec<(f64, f64)> = Vec::new();
+    let mut edges: Vec<DVec2> = Vec::new();
     for l in &outline.loops {
         let n = l.len();
         let edge = |i: usize| l[(i + 1) % n] - l[i % n];
@@ -237,21 +237,26 @@ fn best_axes(outline: &Outline) -> f64 {
             if length > 0.0 {
                 let angle = smooth.to_angle().rem_euclid(FRAC_PI_2);
                 weight[(angle / FRAC_PI_2 * BINS as f64) as usize % BINS] += length;
-                edges.push((angle, length));
+                edges.push(smooth);
             }
         }
     }
-    let norm = |angle: f64| {
-        let (sin, cos) = angle.sin_cos();
-        sin.abs() + cos.abs()
-    };
     let step = FRAC_PI_2 / BINS as f64;
-    let norms: Vec<f64> = (0..BINS).map(|k| norm(step * (k as f64 + 0.5))).collect();
+    let norms: Vec<f64> = (0..2 * BINS)
+        .map(|k| {
+            let (sin, cos) = (step * ((k % BINS) as f64 + 0.5)).sin_cos();
+            sin + cos
+        })
+        .collect();
     // A direction at angle a turned by t lies at a + t, within a quarter turn.
-    let rough = |t: usize| (0..BINS).map(|a| weight[a] * norms[(a + t) % BINS]).sum::<f64>();
-    let best = (0..BINS).min_by(|&a, &b| rough(a).total_cmp(&rough(b))).unwrap_or(0) as f64;
-    let exact = |t: f64| edges.iter().map(|(a, length)| length * norm(a + t)).sum::<f64>();
-    let near = (-8..=8).map(|k| step * (best + f64::from(k) / 8.0));
+    let rough = |t: usize| weight.iter().zip(&norms[t..]).map(|(w, n)| w * n).sum::<f64>();
+    let costs: Vec<f64> = (0..BINS).map(rough).collect();
+    let best = (0..BINS).min_by(|&a, &b| costs[a].total_cmp(&costs[b])).unwrap_or(0) as f64;
+    let exact = |t: f64| {
+        let (sin, cos) = t.sin_cos();
+        edges.iter().map(|d| (d.x * cos - d.y * sin).abs() + (d.x * sin + d.y * cos).abs()).sum::<f64>()
+    };
+    let near = (-4..=4).map(|k| step * (best + f64::from(k) / 4.0));
     let found = near.map(|t| (exact(t), t)).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0));
     // What is upright stays exactly so.
     if exact(0.0) <= found.0 * (1.0 + 1e-9) { 0.0 } else { found.1.rem_euclid(FRAC_PI_2) }
