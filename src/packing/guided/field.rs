@@ -66,9 +66,9 @@ impl Field {
         }
     }
 
-    /// The cheapest position of the runs' corner in `x.0..=x.1`, `y.0..=y.1` on the lattice, the first by rows among equals, if it
+    /// The cheapest position of the runs' corner in `x.0..=x.1`, `y.0..=y.1`, `steps` apart, the first by rows among equals, if it
     /// costs less than `bound`; and the work done. The field must hold the runs at all of these positions.
-    pub fn cheapest(&mut self, runs: &[Run], x: (i32, i32), y: (i32, i32), stride: usize, bound: f32) -> (Option<Found>, u64) {
+    pub fn cheapest(&mut self, runs: &[Run], x: (i32, i32), y: (i32, i32), steps: (usize, usize), bound: f32) -> (Option<Found>, u64) {
         let mut best: Option<Found> = None;
         let mut least = bound;
         let mut work = 0;
@@ -78,7 +78,7 @@ impl Field {
         let n = (x.1 - x.0 + 1) as usize;
         self.row.resize(n.max(self.row.len()), 0.0);
         let pitch = self.width + 1;
-        for at in (y.0..=y.1).step_by(stride) {
+        for at in (y.0..=y.1).step_by(steps.1) {
             let row = &mut self.row[..n];
             row.fill(0.0);
             let mut done = 0;
@@ -93,12 +93,12 @@ impl Field {
                     }
                 }
                 done += chunk.len();
-                if done < runs.len() && row.iter().step_by(stride).all(|c| *c >= least) {
+                if done < runs.len() && row.iter().step_by(steps.0).all(|c| *c >= least) {
                     break;
                 }
             }
             work += (done * n) as u64;
-            for (i, &cost) in row.iter().enumerate().step_by(stride) {
+            for (i, &cost) in row.iter().enumerate().step_by(steps.0) {
                 if cost < least {
                     least = cost;
                     best = Some(Found { cost, x: x.0 + i as i32, y: at });
@@ -148,7 +148,7 @@ mod tests {
                 .collect();
             let stride = 1 + random.below(2);
             let (xs, ys) = ((x0, x0 + w as i32 - 8), (y0, y0 + h as i32 - 4));
-            let found = field.cheapest(&runs, xs, ys, stride, f32::INFINITY).0;
+            let found = field.cheapest(&runs, xs, ys, (stride, stride), f32::INFINITY).0;
             let mut best: Option<Found> = None;
             for y in (ys.0..=ys.1).step_by(stride) {
                 for x in (xs.0..=xs.1).step_by(stride) {

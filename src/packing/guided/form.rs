@@ -15,6 +15,9 @@ use super::outline::Outline;
 const RIM: usize = 4;
 const CORE: usize = 12;
 
+/// Runs of blocks that a scan looks at, for each position.
+const SCANNED_RUNS: usize = 16;
+
 /// The cells of one level of the search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Grid {
@@ -76,7 +79,7 @@ pub(super) struct Form {
     /// The runs of `wide`.
     pub runs: Vec<Run>,
     cost: OnceLock<Vec<u8>>,
-    blocks: OnceLock<Vec<Run>>,
+    blocks: OnceLock<(Vec<Run>, usize)>,
 }
 
 impl Form {
@@ -98,9 +101,17 @@ impl Form {
         self.cost.get_or_init(|| costs(&self.mask))
     }
 
-    /// The runs of blocks that the piece and its gutter cover for the most part.
-    pub fn blocks(&self, block: usize) -> &[Run] {
-        self.blocks.get_or_init(|| blocks(&self.runs, block as i32))
+    /// The runs of blocks that the piece and its gutter cover for the most part, and the rows between two positions worth trying. Of high
+    /// pieces some rows stand for all.
+    pub fn blocks(&self, block: usize) -> (&[Run], usize) {
+        let (runs, step) = self.blocks.get_or_init(|| {
+            let mut runs = blocks(&self.runs, block as i32);
+            let every = (runs.len() / SCANNED_RUNS).max(1) as i32;
+            let top = runs.first().map_or(0, |r| r.row);
+            runs.retain(|r| (r.row - top) % every == every / 2);
+            (runs, (every as usize / 2).max(1))
+        });
+        (runs, *step)
     }
 
     /// Cells of the mask's box.

@@ -34,13 +34,19 @@ use crate::context::Context;
 use crate::error::Result;
 use crate::refine::options::Rotation;
 
-/// Cells along the side of a square that would hold everything, and along the side of a block, by number of pieces.
-const SIDE: [(usize, f64, usize); 6] =
-    [(6, 320.0, 6), (20, 400.0, 6), (60, 512.0, 5), (150, 640.0, 4), (400, 896.0, 4), (usize::MAX, 1280.0, 4)];
-/// The finest grid, as in the greedy search.
-const FINEST: f64 = 3072.0;
+/// By number of pieces: cells along the side of a square that would hold everything, along the side of a block, and walkers to start with.
+const SIDE: [(usize, f64, usize, usize); 6] = [
+    (6, 320.0, 6, 8),
+    (20, 400.0, 6, 8),
+    (60, 480.0, 6, 4),
+    (150, 600.0, 6, 3),
+    (400, 896.0, 8, 2),
+    (usize::MAX, 1280.0, 8, 2),
+];
+/// Cells along that side on the finest grid.
+const FINEST: f64 = 1800.0;
 /// Rounds of the walk: the part of the budget that each takes, and how many walkers go on after it.
-const ROUNDS: [(f64, usize); 6] = [(0.15, 8), (0.15, 4), (0.1, 4), (0.1, 2), (0.1, 2), (0.1, 2)];
+const ROUNDS: [(f64, usize); 4] = [(0.15, 8), (0.15, 4), (0.15, 3), (0.25, 2)];
 /// Walkers that go on to the finer grids.
 const POLISHED: usize = 2;
 
@@ -76,7 +82,8 @@ impl Guided<'_> {
     /// The best packing found from these starts, and its cost; `None` where none of them can be taken apart.
     pub fn run(&self, starts: &[Start]) -> Result<Option<(f64, Packing)>> {
         let n = self.request.pieces.len();
-        let (_, side, block) = *SIDE.iter().find(|(limit, ..)| n <= *limit).unwrap_or(&SIDE[5]);
+        let (_, side, block, most) = *SIDE.iter().find(|(limit, ..)| n <= *limit).unwrap_or(&SIDE[5]);
+        let starts = &starts[..starts.len().min(most)];
         let mut grid = Grid::new(self.request, (self.cell)(self.side / side), block);
         let mut stock = self.stock(grid, true);
         let mut goal = Goal::new(self.request, grid.cell, stock.cells);
@@ -91,7 +98,7 @@ impl Guided<'_> {
         for (round, (part, keep)) in ROUNDS.into_iter().enumerate() {
             order(&mut walkers, keep);
             let quota = (self.budget as f64 * part) as u64 / walkers.len().max(1) as u64;
-            self.context.step(0.1 + 0.1 * round as f64, "improving")?;
+            self.context.step(0.1 + 0.15 * round as f64, "improving")?;
             work += self.round(&mut walkers, &stock, &goal, &WALK, quota)?;
             debug(&format!("round {round}"), &walkers, self.request, grid.cell);
         }

@@ -18,7 +18,7 @@ const MAX_WEIGHT: f64 = 4096.0;
 const DECAY: f64 = 0.95;
 const GROWTH: [f64; 2] = [1.2, 2.0];
 /// Orientations of which a scan of the whole box tries every position, for each move.
-const SCANNED: usize = 5;
+const SCANNED: usize = 4;
 /// Places of a scan that are looked at closely.
 const CLOSER: usize = 3;
 /// Angles tried for a piece that does not fit the box.
@@ -291,7 +291,7 @@ impl<'a> Table<'a> {
             }
         }
         self.near.sum_up();
-        let (found, looked) = self.near.cheapest(&form.runs, x, y, grid.stride, bound);
+        let (found, looked) = self.near.cheapest(&form.runs, x, y, (grid.stride, grid.stride), bound);
         self.work += touched / 8 + looked / 6;
         found.map(|f| Best { cost: f.cost, placed: Placed { form: form.clone(), x: f.x, y: f.y } })
     }
@@ -347,7 +347,8 @@ impl<'a> Table<'a> {
             }
             let last = room.map(|r| r / block);
             let bound = if found.len() < CLOSER { f32::INFINITY } else { found[CLOSER - 1].0 };
-            let (place, looked) = self.far.cheapest(form.blocks(block as usize), (0, last[0]), (0, last[1]), 1, bound);
+            let (runs, step) = form.blocks(block as usize);
+            let (place, looked) = self.far.cheapest(runs, (0, last[0]), (0, last[1]), (1, step), bound);
             self.work += looked / 6;
             if let Some(p) = place {
                 let placed = Placed { form: form.clone(), x: p.x * block, y: p.y * block };

@@ -74,14 +74,14 @@ impl Walker {
                 refused += 1;
                 continue;
             };
-            refused = 0;
+            let moves = table.moves;
             table.placed.clone_from(&best.placed);
             fold(&mut table, (best.width, best.height), (width, height));
             if leap {
                 exchange(&mut table);
             }
             self.tries += 1;
-            if table.separate(width, height, gait.patience, quota, context)? {self.won += 1;
+            if table.separate(width, height, gait.patience, quota + quota / 4, context)? {self.won += 1;
                 best = settled(&table, goal);
                 self.step = (self.step * 1.5).min(0.03);
                 self.failed = 0;
@@ -89,6 +89,8 @@ impl Walker {
                 self.step = (self.step * 0.6).max(gait.least);
                 self.failed += 1;
             }
+            // A piece that fits no smaller box in any way ends the walk.
+            refused = if table.moves == moves { refused + 1 } else { 0 };
         }
         self.passes += table.passes; self.moves += table.moves;
         self.best = Some(best);
