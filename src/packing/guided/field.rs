@@ -68,7 +68,14 @@ impl Field {
 
     /// The cheapest position of the runs' corner in `x.0..=x.1`, `y.0..=y.1`, `steps` apart, the first by rows among equals, if it
     /// costs less than `bound`; and the work done. The field must hold the runs at all of these positions.
-    pub fn cheapest(&mut self, runs: &[Run], x: (i32, i32), y: (i32, i32), steps: (usize, usize), bound: f32) -> (Option<Found>, u64) {
+    pub fn cheapest(
+        &mut self,
+        runs: &[Run],
+        x: (i32, i32),
+        y: (i32, i32),
+        steps: (usize, usize),
+        bound: f32,
+    ) -> (Option<Found>, u64) {
         let mut best: Option<Found> = None;
         let mut least = bound;
         let mut work = 0;
@@ -153,9 +160,7 @@ mod tests {
             for y in (ys.0..=ys.1).step_by(stride) {
                 for x in (xs.0..=xs.1).step_by(stride) {
                     let cells = runs.iter().flat_map(|r| (r.first..r.end).map(move |c| (c, r.row)));
-                    let cost: i32 = cells
-                        .map(|(i, j)| plain[(y + j - y0) as usize * w + (x + i - x0) as usize])
-                        .sum();
+                    let cost: i32 = cells.map(|(i, j)| plain[(y + j - y0) as usize * w + (x + i - x0) as usize]).sum();
                     if best.is_none_or(|b| (cost as f32) < b.cost) {
                         best = Some(Found { cost: cost as f32, x, y });
                     }

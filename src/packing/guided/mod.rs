@@ -15,6 +15,8 @@ mod form;
 mod goal;
 mod outline;
 mod separate;
+#[cfg(test)]
+mod tests;
 mod walk;
 
 use std::sync::Arc;
@@ -90,7 +92,6 @@ impl Guided<'_> {
         let mut seeds = Random::new(self.context.seed ^ self.request.seed ^ 0x67);
         let mut walkers: Vec<Walker> = starts.iter().map(|_| Walker::new(None, seeds.next(), &WALK)).collect();
         let limit = self.budget / 10 / starts.len().max(1) as u64;
-        eprintln!("starts {:?} side {}", starts.iter().map(|s| format!("{:.4}", self.request.pieces.iter().map(|p| p.area).sum::<f64>() / s.sides[0]/s.sides[1])).collect::<Vec<_>>(), self.side / grid.cell);
         walkers.par_iter_mut().zip(starts).try_for_each(|(walker, start)| {
             walker.enter(&stock, &goal, &WALK, self.begin(start, &grid), limit, self.context)
         })?;
@@ -100,7 +101,6 @@ impl Guided<'_> {
             let quota = (self.budget as f64 * part) as u64 / walkers.len().max(1) as u64;
             self.context.step(0.1 + 0.15 * round as f64, "improving")?;
             work += self.round(&mut walkers, &stock, &goal, &WALK, quota)?;
-            debug(&format!("round {round}"), &walkers, self.request, grid.cell);
         }
         // Ever finer cells: each time the pieces fit a little closer.
         let mut levels = Vec::new();
@@ -133,27 +133,34 @@ impl Guided<'_> {
                 })
                 .collect::<Result<_>>()?;
             work += walkers.iter().map(|w| w.work).sum::<u64>();
-            debug(&format!("enter {k}"), &walkers, self.request, cell);
             work += self.round(&mut walkers, &stock, &goal, &POLISH, quota)?;
-            debug(&format!("level {k}"), &walkers, self.request, cell);
             grid = finer;
         }
         order(&mut walkers, 1);
-        Ok(walkers.into_iter().next().and_then(|w| w.best).map(|best| (best.cost, self.packing(&best, &grid, &goal, work))))
+        Ok(walkers
+            .into_iter()
+            .next()
+            .and_then(|w| w.best)
+            .map(|best| (best.cost, self.packing(&best, &grid, &goal, work))))
     }
 
     /// Lets all walkers walk on; returns the work done.
     fn round(&self, walkers: &mut [Walker], stock: &Stock<'_>, goal: &Goal, gait: &Gait, quota: u64) -> Result<u64> {
-        walkers.par_iter_mut().map(|w| {
-            let before = w.work;
-            w.walk(stock, goal, gait, quota, self.context)?;
-            Ok(w.work - before)
-        }).collect::<Result<Vec<u64>>>().map(|done| done.into_iter().sum())
+        walkers
+            .par_iter_mut()
+            .map(|w| {
+                let before = w.work;
+                w.walk(stock, goal, gait, quota, self.context)?;
+                Ok(w.work - before)
+            })
+            .collect::<Result<Vec<u64>>>()
+            .map(|done| done.into_iter().sum())
     }
 
     fn stock(&self, grid: Grid, scans: bool) -> Stock<'_> {
         let form = |piece: usize, o: &Orientation| Arc::new(Form::new(&self.outlines[piece], *o, &grid));
-        let first: Vec<usize> = self.ways.par_iter().enumerate().map(|(p, own)| form(p, &own[0]).mask.count()).collect();
+        let first: Vec<usize> =
+            self.ways.par_iter().enumerate().map(|(p, own)| form(p, &own[0]).mask.count()).collect();
         let pool = |p: usize| if scans { self.ways[p].par_iter().map(|o| form(p, o)).collect() } else { Vec::new() };
         Stock {
             outlines: self.outlines,
@@ -193,7 +200,8 @@ impl Guided<'_> {
 
     fn packing(&self, best: &Feasible, grid: &Grid, goal: &Goal, work: u64) -> Packing {
         let place = |p: &Placed| {
-            let corner = DVec2::new(f64::from(p.x), f64::from(p.y)) * grid.cell + DVec2::splat(self.request.spacing.margin);
+            let corner =
+                DVec2::new(f64::from(p.x), f64::from(p.y)) * grid.cell + DVec2::splat(self.request.spacing.margin);
             Placement { page: 0, linear: p.form.linear, translate: corner - p.form.anchor }
         };
         let placements = best.placed.iter().map(place).collect();
@@ -207,11 +215,4 @@ fn order(walkers: &mut Vec<Walker>, keep: usize) {
     let cost = |w: &Walker| w.best.as_ref().map_or(f64::INFINITY, |b| b.cost);
     walkers.sort_by(|a, b| cost(a).total_cmp(&cost(b)));
     walkers.truncate(keep);
-}
-
-fn debug(what: &str, walkers: &[Walker], request: &Request<'_>, _cell: f64) {
-    if std::env::var("DBG").is_err() { return }
-    let area: f64 = request.pieces.iter().map(|p| p.area).sum();
-    let all: Vec<String> = walkers.iter().map(|w| format!("{:.4} t{}/{} p{} m{} st{:.4}", w.best.as_ref().map_or(0.0, |b| area / b.cost), w.won, w.tries, w.passes, w.moves, w.step)).collect();
-    eprintln!("{what}: {all:?}");
 }

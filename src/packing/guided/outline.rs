@@ -82,8 +82,7 @@ impl Outline {
     pub fn raster(&self, linear: DMat2, cell: f64, lattice: Option<usize>) -> (Mask, DVec2) {
         let (low, high) = self.corners(linear);
         let (anchor, [width, height]) = frame(low, high, cell, lattice);
-        let turned: Vec<[DVec2; 3]> =
-            self.parts.iter().map(|t| t.map(|p| (linear * p - anchor) / cell)).collect();
+        let turned: Vec<[DVec2; 3]> = self.parts.iter().map(|t| t.map(|p| (linear * p - anchor) / cell)).collect();
         let mut mask = Mask::of_triangles(&turned, width, height);
         if self.hollow {
             fill(&turned, &mut mask);

@@ -68,7 +68,9 @@ pub(super) struct Table<'a> {
     pub placed: Vec<Placed>,
     pub random: Random,
     /// Words looked at.
-    pub work: u64, pub passes: u64, pub moves: u64,
+    pub work: u64,
+    /// Pieces looked at because they overlapped.
+    pub moves: u64,
     width: i32,
     height: i32,
     patches: Vec<Patch>,
@@ -91,7 +93,8 @@ impl<'a> Table<'a> {
             stock,
             placed,
             random,
-            work: 0, passes: 0, moves: 0,
+            work: 0,
+            moves: 0,
             width: 0,
             height: 0,
             patches: (0..n).map(|_| Patch::default()).collect(),
@@ -104,7 +107,14 @@ impl<'a> Table<'a> {
 
     /// Moves the pieces, which lie anyhow, until none overlap in a box of `width` x `height` cells. Gives up, with `false`, when
     /// `patience` passes in a row brought no progress or the work reaches `limit`.
-    pub fn separate(&mut self, width: i32, height: i32, patience: usize, limit: u64, context: &Context) -> Result<bool> {
+    pub fn separate(
+        &mut self,
+        width: i32,
+        height: i32,
+        patience: usize,
+        limit: u64,
+        context: &Context,
+    ) -> Result<bool> {
         (self.width, self.height) = (width, height);
         // So that boxes that are refused at once count too.
         self.work += 2000;
@@ -134,10 +144,11 @@ impl<'a> Table<'a> {
             for i in crowded {
                 context.check()?;
                 if self.overlap_of(i) > 0 {
-                    self.relocate(i);self.moves += 1;
+                    self.relocate(i);
+                    self.moves += 1;
                 }
             }
-            self.reweigh();self.passes += 1;
+            self.reweigh();
         }
     }
 
@@ -259,7 +270,9 @@ impl<'a> Table<'a> {
     }
 
     fn improve(&mut self, i: usize, around: &Placed, reach: i32, best: &mut Best) {
-        if best.cost > 0.0 && let Some(found) = self.look(i, around, reach, best.cost) {
+        if best.cost > 0.0
+            && let Some(found) = self.look(i, around, reach, best.cost)
+        {
             *best = found;
         }
     }

@@ -34,18 +34,25 @@ pub(super) struct Walker {
     pub best: Option<Feasible>,
     pub random: Random,
     pub work: u64,
-    pub step: f64,
+    step: f64,
     failed: u32,
-    pub won: u32, pub tries: u32, pub passes: u64, pub moves: u64,
 }
 
 impl Walker {
     pub fn new(best: Option<Feasible>, seed: u64, gait: &Gait) -> Self {
-        Walker { best, random: Random::new(seed), work: 0, step: gait.first, failed: 0, won: 0, tries: 0, passes: 0, moves: 0 }
+        Walker { best, random: Random::new(seed), work: 0, step: gait.first, failed: 0 }
     }
 
     /// Takes the pieces apart in a box of `width` x `height` cells, or one a little larger, to start from.
-    pub fn enter(&mut self, stock: &Stock<'_>, goal: &Goal, gait: &Gait, start: (Vec<Placed>, i32, i32), limit: u64, context: &Context) -> Result<()> {
+    pub fn enter(
+        &mut self,
+        stock: &Stock<'_>,
+        goal: &Goal,
+        gait: &Gait,
+        start: (Vec<Placed>, i32, i32),
+        limit: u64,
+        context: &Context,
+    ) -> Result<()> {
         let (placed, width, height) = start;
         let mut table = Table::new(stock, placed, self.random.clone());
         for slack in [1.0, 1.02, 1.06] {
@@ -69,7 +76,8 @@ impl Walker {
             context.check()?;
             let leap = self.failed >= gait.failures && !stock.pool.iter().all(Vec::is_empty);
             let step = if leap { gait.least } else { self.step };
-            let Some((width, height)) = goal.shrink(best.width, best.height, step, gait.drift, &mut table.random) else {
+            let Some((width, height)) = goal.shrink(best.width, best.height, step, gait.drift, &mut table.random)
+            else {
                 self.step = (self.step * 0.5).max(gait.least);
                 refused += 1;
                 continue;
@@ -80,8 +88,7 @@ impl Walker {
             if leap {
                 exchange(&mut table);
             }
-            self.tries += 1;
-            if table.separate(width, height, gait.patience, quota + quota / 4, context)? {self.won += 1;
+            if table.separate(width, height, gait.patience, quota + quota / 4, context)? {
                 best = settled(&table, goal);
                 self.step = (self.step * 1.5).min(0.03);
                 self.failed = 0;
@@ -92,7 +99,6 @@ impl Walker {
             // A piece that fits no smaller box in any way ends the walk.
             refused = if table.moves == moves { refused + 1 } else { 0 };
         }
-        self.passes += table.passes; self.moves += table.moves;
         self.best = Some(best);
         self.work += table.work;
         self.random = table.random;
