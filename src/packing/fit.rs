@@ -3,6 +3,7 @@
 use super::{Packing, Request, Rounding, pack};
 use crate::context::Context;
 use crate::error::Result;
+use crate::refine::options::PackSearch;
 
 /// A packing and the scale at which it was made.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,6 +16,8 @@ pub struct Fitted {
 
 /// Bisection steps on the scale: under half a percent is left.
 const STEPS: usize = 7;
+/// Thorough searches after the bisection, each at the scale that the one before made room for.
+const REFINED: usize = 2;
 
 /// Scales the pieces, at most by `largest`, so that they fill one sheet of `sheet` texels as well as possible.
 ///
@@ -25,19 +28,19 @@ pub fn pack_into(request: &Request<'_>, sheet: [f64; 2], largest: f64, context: 
     // No packing covers more than everything.
     let mut high = (sheet[0] * sheet[1] / area).sqrt().min(largest);
     let mut low = 0.0;
-    let mut best = None;
+    let mut best: Option<Fitted> = None;
+    // The fast search brackets the scale; the thorough one then makes the most of it.
+    let fast = request.work_budget.filter(|_| request.search == PackSearch::Fast);
+    let effort = request.effort / STEPS as f64;
+    let bisection = Request { search: PackSearch::Fast, work_budget: fast, effort, ..request.clone() };
     let mut scale = (high * 0.8).min(largest);
     for _ in 0..STEPS {
         context.check()?;
-        let packing = at_scale(request, sheet, scale, context)?;
-        let fits = packing.sheets.len() == 1
-            && packing.sheets[0][0] <= sheet[0] + 1e-9
-            && packing.sheets[0][1] <= sheet[1] + 1e-9;
-        if fits {
-            // What is left over tells how far the scale may grow at once.
-            let slack = (sheet[0] / packing.sheets[0][0]).min(sheet[1] / packing.sheets[0][1]);
+        let packing = at_scale(&bisection, sheet, scale, context)?;
+        if let Some(slack) = slack(&packing, sheet) {
             low = scale;
             best = Some(Fitted { packing: Packing { sheets: vec![sheet], ..packing }, scale });
+            // What is left over tells how far the scale may grow at once.
             if low >= largest {
                 break;
             }
@@ -50,7 +53,31 @@ pub fn pack_into(request: &Request<'_>, sheet: [f64; 2], largest: f64, context: 
             break;
         }
     }
+    if request.search == PackSearch::Thorough {
+        let thorough = Request { effort: request.effort / REFINED as f64, ..request.clone() };
+        for _ in 0..REFINED {
+            let Some(scale) = best.as_ref().map(|b| b.scale) else { break };
+            if context.out_of_time() {
+                break;
+            }
+            let mut packing = at_scale(&thorough, sheet, scale, context)?;
+            let Some(slack) = slack(&packing, sheet).filter(|s| *s > 1.0) else { break };
+            // The same layout, enlarged: gutters grow with it.
+            let factor = slack.min(largest / scale);
+            for p in &mut packing.placements {
+                p.linear *= factor;
+                p.translate *= factor;
+            }
+            best = Some(Fitted { packing: Packing { sheets: vec![sheet], ..packing }, scale: scale * factor });
+        }
+    }
     Ok(best)
+}
+
+/// How far the packing may grow on the sheet, if it fits.
+fn slack(packing: &Packing, sheet: [f64; 2]) -> Option<f64> {
+    let [w, h] = *packing.sheets.first().filter(|_| packing.sheets.len() == 1)?;
+    (w <= sheet[0] + 1e-9 && h <= sheet[1] + 1e-9).then(|| (sheet[0] / w).min(sheet[1] / h))
 }
 
 fn at_scale(request: &Request<'_>, sheet: [f64; 2], scale: f64, context: &Context) -> Result<Packing> {
@@ -59,7 +86,6 @@ fn at_scale(request: &Request<'_>, sheet: [f64; 2], scale: f64, context: &Contex
         aspect: Some(sheet[0] / sheet[1]),
         max: [f64::INFINITY; 2],
         round: Rounding::Free,
-        effort: request.effort / STEPS as f64,
         ..request.clone()
     };
     pack(&request, context)

@@ -7,6 +7,7 @@
 
 mod fit;
 mod greedy;
+mod guided;
 mod mask;
 mod occupancy;
 mod orientation;
@@ -25,7 +26,7 @@ pub(crate) use random::Random;
 pub use search::pack;
 pub(crate) use shape::{Shape, Shapes};
 
-use crate::refine::options::Rotation;
+use crate::refine::options::{PackSearch, Rotation};
 
 /// What is placed as one: a chart, or a cluster of charts. Coordinates in reference texels.
 #[derive(Debug, Clone, Default)]
@@ -81,7 +82,11 @@ pub struct Request<'a> {
     pub round: Rounding,
     /// Factor on all pieces.
     pub scale: f64,
-    /// Multiplies the work of the search; 1 is the default.
+    /// How hard to search.
+    pub search: PackSearch,
+    /// Words of occupancy that the search may look at; `None` is the search's own default.
+    pub work_budget: Option<u64>,
+    /// Multiplies the budget; 1 is the default.
     pub effort: f64,
     /// Seed of the search.
     pub seed: u64,

@@ -3,13 +3,15 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::greedy::{Layout, Plan, Rule, greedy, settle};
+use super::greedy::{Layout, Plan, Rule, Spot, greedy, settle};
+use super::guided::{Guided, Outline, Start};
 use super::orientation::{Angles, Orientation, orientations};
 use super::random::Random;
 use super::shape::Shapes;
 use super::{Packing, Placement, Request};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result};
+use crate::refine::options::PackSearch;
 
 /// Cells along the side of a square that would hold everything, in the coarse search, by number of pieces.
 const COARSE_SIDE: [(usize, f64); 5] = [(6, 256.0), (12, 160.0), (60, 224.0), (300, 352.0), (usize::MAX, 512.0)];
@@ -17,6 +19,13 @@ const COARSE_SIDE: [(usize, f64); 5] = [(6, 256.0), (12, 160.0), (60, 224.0), (3
 const FINE_SIDE: [(usize, f64); 3] = [(6, 3072.0), (300, 2048.0), (usize::MAX, 1792.0)];
 /// Words that the coarse search may look at; about half a second on two cores.
 const COARSE_WORK: f64 = 8e7;
+/// Words that the thorough search may look at; about ten seconds on two cores.
+const THOROUGH_WORK: f64 = 2e9;
+/// The part of it that goes to the greedy search for starts.
+const GREEDY_PART: f64 = 0.08;
+/// Layouts of different widths that the thorough search starts from, and how much their widths differ at least (natural logarithm).
+const STARTS: usize = 8;
+const APART: f64 = 0.05;
 /// Plans evaluated at once: fixed, so that the result does not depend on the number of threads.
 const BATCH: usize = 16;
 /// Coarse plans that are built at the fine resolution.
@@ -75,6 +84,17 @@ pub fn pack(request: &Request<'_>, context: &Context) -> Result<Packing> {
     Search { request, ways: &ways, context, side, span }.run()
 }
 
+impl Request<'_> {
+    /// Words that the search may look at.
+    fn budget(&self) -> f64 {
+        let own = match self.search {
+            PackSearch::Fast => COARSE_WORK,
+            PackSearch::Thorough => THOROUGH_WORK,
+        };
+        self.work_budget.map_or(own, |words| words as f64) * self.effort
+    }
+}
+
 struct Search<'a> {
     request: &'a Request<'a>,
     ways: &'a [Vec<Orientation>],
@@ -83,6 +103,16 @@ struct Search<'a> {
     side: f64,
     /// No strip is longer or wider than this many texels, unless everything is spread over pages.
     span: f64,
+}
+
+/// What the coarse search brought.
+#[derive(Default)]
+struct Found {
+    /// The best plans, by cost.
+    best: Vec<Tried>,
+    /// The best plans of different widths, by cost.
+    starts: Vec<Tried>,
+    work: u64,
 }
 
 /// A plan and what it came to.
@@ -102,7 +132,7 @@ impl Search<'_> {
         let n = self.request.pieces.len();
         let coarse = self.shapes(self.ways, self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
         self.context.step(0.1, "searching")?;
-        let (tried, mut work) = self.coarse(&coarse)?;
+        let Found { best: tried, starts, mut work } = self.coarse(&coarse)?;
         let widest = tried.iter().map(|t| t.width).max().unwrap_or(0) as f64 * coarse.cell;
         let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
         let fine = self.shapes(&self.narrowed(&tried), fine_cell, widest + fine_cell);
@@ -132,10 +162,41 @@ impl Search<'_> {
             }
         }
         self.context.step(0.95, "placing")?;
-        match best {
-            Some((_, layout)) => Ok(self.one_sheet(&layout, &fine, work)),
-            None => self.pages(&self.shapes(self.ways, fine_cell, self.span), work),
+        let Some((cost, layout)) = best else {
+            return self.pages(&self.shapes(self.ways, fine_cell, self.span), work);
+        };
+        let packing = self.one_sheet(&layout, &fine, work);
+        if self.request.search == PackSearch::Fast || n == 1 {
+            return Ok(packing);
         }
+        let starts: Vec<Start> = starts.par_iter().filter_map(|t| self.start(&coarse, t)).collect();
+        let outlines: Vec<Outline> = self.request.pieces.par_iter().map(Outline::new).collect();
+        let guided = Guided {
+            request: self.request,
+            outlines: &outlines,
+            ways: self.ways,
+            context: self.context,
+            side,
+            budget: (self.request.budget() as u64).saturating_sub(work),
+            cell: &|wanted| self.cell(wanted),
+        };
+        Ok(match guided.run(&starts)? {
+            Some((least, better)) if least < cost => Packing { work: work + better.work, ..better },
+            Some((_, worse)) => Packing { work: work + worse.work, ..packing },
+            None => packing,
+        })
+    }
+
+    /// The layout of a coarse plan, for the thorough search.
+    fn start(&self, shapes: &Shapes, tried: &Tried) -> Option<Start> {
+        let (layout, _) = greedy(shapes, &tried.plan);
+        let place = |(piece, spot): (usize, &Option<Spot>)| {
+            let spot = (*spot)?;
+            let at = DVec2::new(f64::from(spot.x), f64::from(spot.y)) * shapes.cell;
+            Some((self.ways[piece][spot.orientation as usize], at))
+        };
+        let places = layout.spots.iter().enumerate().map(place).collect::<Option<_>>()?;
+        Some(Start { places, sides: [layout.width, layout.height].map(|s| s as f64 * shapes.cell) })
     }
 
     /// The cell size at or above `wanted` texels that keeps whole texels where they must be kept.
@@ -208,8 +269,11 @@ impl Search<'_> {
     }
 
     /// Orders, widths and rules, then mutations of the best, within the budget of work.
-    fn coarse(&self, shapes: &Shapes) -> Result<(Vec<Tried>, u64)> {
-        let budget = (COARSE_WORK * self.request.effort) as u64;
+    fn coarse(&self, shapes: &Shapes) -> Result<Found> {
+        let budget = match self.request.search {
+            PackSearch::Fast => self.request.budget(),
+            PackSearch::Thorough => self.request.budget() * GREEDY_PART,
+        } as u64;
         let (side, limit) = (self.side, self.limit(0, shapes));
         let narrowest =
             shapes.of_piece.iter().map(|ways| ways.iter().map(|s| s.mask.width).min().unwrap_or(1)).max().unwrap_or(1);
@@ -242,32 +306,41 @@ impl Search<'_> {
                 }
             }
         }
-        let mut work = 0;
-        let mut best: Vec<Tried> = Vec::new();
+        let mut found = Found::default();
         // Widths near the square first: an interrupted search has tried them.
         plans.sort_by_key(|p| p.width.abs_diff((side / shapes.cell) as usize));
         for batch in plans.chunks(BATCH) {
-            self.evaluate(shapes, batch.to_vec(), &mut best, &mut work)?;
-            if work > budget / 2 && !best.is_empty() {
+            self.evaluate(shapes, batch.to_vec(), &mut found)?;
+            if found.work > budget / 2 && !found.best.is_empty() {
                 break;
             }
         }
         let mut random = Random::new(self.context.seed ^ self.request.seed);
-        while work < budget && !best.is_empty() && self.request.pieces.len() > 1 && !self.context.out_of_time() {
+        while found.work < budget
+            && !found.best.is_empty()
+            && self.request.pieces.len() > 1
+            && !self.context.out_of_time()
+        {
+            let best = &found.best;
             let height = self.limit(1, shapes);
             let batch = (0..BATCH)
                 .map(|k| Plan { height, ..mutate(&best[k % best.len().min(3)].plan, narrowest, limit, &mut random) })
                 .collect();
-            self.evaluate(shapes, batch, &mut best, &mut work)?;
-            self.context.step(0.1 + 0.5 * (work as f64 / budget as f64), "searching")?;
+            self.evaluate(shapes, batch, &mut found)?;
+            self.context.step(0.1 + 0.5 * (found.work as f64 / budget as f64), "searching")?;
         }
-        Ok((best, work))
+        Ok(found)
     }
 
     /// Runs plans in parallel and keeps the best, in a fixed order.
-    fn evaluate(&self, shapes: &Shapes, plans: Vec<Plan>, best: &mut Vec<Tried>, work: &mut u64) -> Result<()> {
+    fn evaluate(&self, shapes: &Shapes, plans: Vec<Plan>, found: &mut Found) -> Result<()> {
         self.context.check()?;
-        let worst = best.last().filter(|_| best.len() >= FINALISTS).map(|t| t.cost);
+        let Found { best, starts, work } = found;
+        // Nothing worse than the worst that is kept need be finished.
+        let thorough = self.request.search == PackSearch::Thorough;
+        let kept = if thorough { STARTS } else { FINALISTS };
+        let worst = if thorough { &*starts } else { &*best };
+        let worst = worst.last().filter(|_| worst.len() >= kept).map(|t| t.cost);
         let tried: Vec<Tried> = plans
             .into_par_iter()
             .map(|mut plan| {
@@ -281,6 +354,9 @@ impl Search<'_> {
             .collect();
         for t in tried {
             *work += t.work + 50 * t.plan.order.len() as u64;
+            if thorough && t.cost.is_finite() {
+                diversify(starts, &t);
+            }
             if t.cost.is_finite() && !best.iter().any(|b| b.cost == t.cost && b.width == t.width) {
                 best.push(t);
             }
@@ -355,6 +431,18 @@ impl Search<'_> {
         }
         Ok(Packing { placements: placements.into_iter().flatten().collect(), sheets, work })
     }
+}
+
+/// Keeps the plan if it is the best of its width; the list stays in order and short.
+fn diversify(starts: &mut Vec<Tried>, tried: &Tried) {
+    let near = |t: &Tried| (t.width as f64 / tried.width.max(1) as f64).ln().abs() < APART;
+    if starts.iter().any(|t| near(t) && t.cost <= tried.cost) {
+        return;
+    }
+    starts.retain(|t| !near(t));
+    starts.push(tried.clone());
+    starts.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    starts.truncate(STARTS);
 }
 
 /// A plan like this one, with pieces exchanged, another width or another rule.

@@ -88,21 +88,27 @@ fn raster(piece: &Piece, linear: DMat2, cell: f64, stride: usize, on_lattice: bo
     if !low.is_finite() {
         (low, high) = (DVec2::ZERO, DVec2::ZERO);
     }
-    // On the lattice the mask starts at a multiple of it, so that whole steps stay whole; elsewhere a hair before
-    // the piece, so that no cell is wasted.
-    let anchor = if on_lattice {
-        let step = cell * stride as f64;
-        (low / step).floor() * step
-    } else {
-        low - DVec2::splat(2e-3 * cell)
-    };
+    let (anchor, [width, height]) = frame(low, high, cell, on_lattice.then_some(stride));
     for t in &mut turned {
         for p in t {
             *p = (*p - anchor) / cell;
         }
     }
-    let extent = (high - anchor) / cell + DVec2::splat(if on_lattice { 0.0 } else { 2e-3 });
+    (Mask::of_triangles(&turned, width, height), anchor, linear)
+}
+
+/// Where the mask of a piece between these corners starts (texels), and its sides in cells.
+pub(super) fn frame(low: DVec2, high: DVec2, cell: f64, stride: Option<usize>) -> (DVec2, [usize; 2]) {
+    // On the lattice the mask starts at a multiple of it, so that whole steps stay whole; elsewhere a hair before
+    // the piece, so that no cell is wasted.
+    let anchor = match stride {
+        Some(stride) => {
+            let step = cell * stride as f64;
+            (low / step).floor() * step
+        }
+        None => low - DVec2::splat(2e-3 * cell),
+    };
+    let extent = (high - anchor) / cell + DVec2::splat(if stride.is_some() { 0.0 } else { 2e-3 });
     let size = |x: f64| if (x - x.round()).abs() < 1e-9 { x.round().max(1.0) } else { (x + 1e-3).floor() + 1.0 };
-    let mask = Mask::of_triangles(&turned, size(extent.x) as usize, size(extent.y) as usize);
-    (mask, anchor, linear)
+    (anchor, [size(extent.x) as usize, size(extent.y) as usize])
 }

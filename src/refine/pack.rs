@@ -106,6 +106,8 @@ fn place(pieces: &[Piece], frame: &Frame, options: &Options, context: &Context) 
             (false, false) => Rounding::MultipleOf(step),
         },
         scale: 1.0,
+        search: options.pack.search,
+        work_budget: options.work_budget,
         effort: 1.0,
         seed: options.seed,
     };

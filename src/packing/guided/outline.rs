@@ -1,0 +1,162 @@
+//! A piece as the edges that rasterising it needs.
+
+use glam::{DMat2, DVec2};
+
+use crate::packing::Piece;
+use crate::packing::mask::Mask;
+use crate::packing::shape::frame;
+
+/// A piece's directed border where its triangles all turn the same way round, else all of its triangles.
+#[derive(Debug)]
+pub(crate) struct Outline {
+    /// Edges as triangles without area, or all triangles.
+    parts: Vec<[DVec2; 3]>,
+    /// Whether `parts` is a border whose inside is to be filled.
+    hollow: bool,
+    /// Points between which everything lies.
+    points: Vec<DVec2>,
+}
+
+impl Outline {
+    /// Finds the border: directed edges without their opposite. Where all triangles turn the same way round, a point that k of them cover has
+    /// winding number ±k about it, so that filling by winding number loses nothing even where the chart overlaps itself.
+    pub fn new(piece: &Piece) -> Self {
+        let signs = piece.triangles.iter().map(|t| (t[1] - t[0]).perp_dot(t[2] - t[0]));
+        let (mut left, mut right) = (false, false);
+        for s in signs {
+            left |= s > 0.0;
+            right |= s < 0.0;
+        }
+        let bits = |p: DVec2| [(p.x + 0.0).to_bits(), (p.y + 0.0).to_bits()];
+        // An edge and its opposite get the same key, and signs that cancel.
+        let mut edges: Vec<([[u64; 2]; 2], i32, [DVec2; 2])> = Vec::new();
+        for t in &piece.triangles {
+            for k in 0..3 {
+                let (a, b) = (t[k], t[(k + 1) % 3]);
+                let (p, q) = (bits(a), bits(b));
+                if p != q {
+                    edges.push(if p < q { ([p, q], 1, [a, b]) } else { ([q, p], -1, [b, a]) });
+                }
+            }
+        }
+        edges.sort_unstable_by_key(|e| (e.0, e.1));
+        let mut border = Vec::new();
+        for same in edges.chunk_by(|a, b| a.0 == b.0) {
+            let sum: i32 = same.iter().map(|e| e.1).sum();
+            let [a, b] = same[0].2;
+            let edge = if sum > 0 { [a, b, b] } else { [b, a, a] };
+            border.extend(std::iter::repeat_n(edge, sum.unsigned_abs() as usize));
+        }
+        let points = |parts: &[[DVec2; 3]]| parts.iter().flat_map(|t| [t[0], t[1]]).collect();
+        if left && right || border.len() > 3 * piece.triangles.len() || border.is_empty() {
+            let points = piece.triangles.iter().flatten().copied().collect();
+            return Outline { parts: piece.triangles.clone(), hollow: false, points };
+        }
+        // Degenerate triangles may stand apart from all others.
+        Outline { points: points(&border), parts: border, hollow: true }
+    }
+
+    /// About how many words rasterising looks at.
+    pub fn work(&self) -> u64 {
+        8 * self.parts.len() as u64
+    }
+
+    /// Sides of the bounding box after the linear map.
+    pub fn sides(&self, linear: DMat2) -> DVec2 {
+        let (low, high) = self.corners(linear);
+        high - low
+    }
+
+    fn corners(&self, linear: DMat2) -> (DVec2, DVec2) {
+        let mut low = DVec2::INFINITY;
+        let mut high = DVec2::NEG_INFINITY;
+        for p in &self.points {
+            let q = linear * *p;
+            low = low.min(q);
+            high = high.max(q);
+        }
+        if low.is_finite() { (low, high) } else { (DVec2::ZERO, DVec2::ZERO) }
+    }
+
+    /// The cells that the piece touches, as [`crate::packing::shape`] has them, and the anchor.
+    pub fn raster(&self, linear: DMat2, cell: f64, lattice: Option<usize>) -> (Mask, DVec2) {
+        let (low, high) = self.corners(linear);
+        let (anchor, [width, height]) = frame(low, high, cell, lattice);
+        let turned: Vec<[DVec2; 3]> = self.parts.iter().map(|t| t.map(|p| (linear * p - anchor) / cell)).collect();
+        let mut mask = Mask::of_triangles(&turned, width, height);
+        if self.hollow {
+            fill(&turned, &mut mask);
+        }
+        (mask, anchor)
+    }
+}
+
+/// Sets the cells whose centres the border winds about; the border's own cells are set already.
+fn fill(border: &[[DVec2; 3]], mask: &mut Mask) {
+    // Crossings of the centre line of each row: (row, x, direction).
+    let mut crossings: Vec<(u32, f64, i32)> = Vec::new();
+    for &[a, b, _] in border {
+        let (direction, a, b) = if a.y < b.y { (1, a, b) } else { (-1, b, a) };
+        let first = (a.y - 0.5).ceil().max(0.0) as usize;
+        let slope = (b.x - a.x) / (b.y - a.y);
+        for row in first..mask.height {
+            let y = row as f64 + 0.5;
+            if y >= b.y {
+                break;
+            }
+            crossings.push((row as u32, a.x + (y - a.y) * slope, direction));
+        }
+    }
+    crossings.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+    for line in crossings.chunk_by(|a, b| a.0 == b.0) {
+        let mut winding = 0;
+        for pair in line.windows(2) {
+            winding += pair[0].2;
+            // Cells with their centre between the crossings.
+            let (first, last) = ((pair[0].1 - 0.5).ceil().max(0.0), (pair[1].1 - 0.5).floor());
+            if winding != 0 && first <= last {
+                let last = (last as usize).min(mask.width - 1);
+                mask.set_run(pair[0].0 as usize, (first as usize).min(last), last);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::packing::random::Random;
+
+    /// A fan of triangles about a point: all turn the same way round, and the last ones may lie over the first.
+    fn fan(random: &mut Random, turns: f64) -> Piece {
+        let steps = 5 + random.below(30);
+        let rim: Vec<DVec2> = (0..=steps)
+            .map(|k| DVec2::from_angle(turns * k as f64 / steps as f64) * (3.0 + 20.0 * random.unit()))
+            .collect();
+        Piece { triangles: rim.windows(2).map(|w| [DVec2::ZERO, w[0], w[1]]).collect(), ..Piece::default() }
+    }
+
+    #[test]
+    fn the_outline_covers_what_the_triangles_cover() {
+        let mut random = Random::new(2);
+        for round in 0..200 {
+            let mut piece = fan(&mut random, [3.0, 6.0, 9.0][round % 3]);
+            if round % 5 == 0 {
+                // Folded over: filling by winding number would lose cells.
+                piece.triangles.extend(fan(&mut random, -4.0).triangles);
+            }
+            let outline = Outline::new(&piece);
+            assert_eq!(outline.hollow, round % 5 != 0);
+            let linear = DMat2::from_angle(7.0 * random.unit());
+            let (mask, anchor) = outline.raster(linear, 0.7, None);
+            let turned: Vec<_> = piece.triangles.iter().map(|t| t.map(|p| (linear * p - anchor) / 0.7)).collect();
+            let plain = Mask::of_triangles(&turned, mask.width, mask.height);
+            for y in 0..mask.height {
+                for x in 0..mask.width {
+                    assert!(mask.get(x, y) || !plain.get(x, y), "{round}: {x} {y}");
+                }
+            }
+            assert!(mask.count() <= plain.count(), "{round}");
+        }
+    }
+}
