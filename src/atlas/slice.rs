@@ -16,6 +16,9 @@ pub struct Segment {
     pub to: DVec2,
 }
 
+/// Rounds of splitting: a seam can be crossed as often as the chart lies along it.
+const PASSES: usize = 8;
+
 /// Cuts charts along straight segments (Box Cutter, section 3.2: triangles that a cut line crosses are subdivided, and what would become a T-junction
 /// is fixed on the other side of the seam). Every split edge gets one new vertex, computed from its ordered ends, so that no crack
 /// opens; where a line passes within `snap` of a vertex, the cut goes through the vertex.
@@ -54,12 +57,44 @@ impl Slicer {
             if s.abs() < snap { 0.0 } else { s }
         };
         let place = |p: DVec2| along.dot(p - segment.from);
-        // Split edges by their surface vertices, ascending: the place of the new vertex between them.
-        let mut split: BTreeMap<(VertexId, VertexId), f64> = BTreeMap::new();
         // Corners on the line, by UV vertex.
         let mut on_line: BTreeSet<UvId> = BTreeSet::new();
-        let mut crossed: Vec<FaceId> = Vec::new();
+        // A seam whose two sides are both crossed is split at one place at a time.
+        for _ in 0..PASSES {
+            let split = self.crossings(faces, &side, &place, length, &mut on_line);
+            if split.is_empty() {
+                break;
+            }
+            on_line.extend(self.split_edges(&split, faces, others));
+        }
+        // Edges along the line separate its two sides.
         for &face in faces.iter() {
+            let corners = self.atlas.corners[face.index()];
+            for k in 0..3 {
+                let (a, b) = (corners[k], corners[(k + 1) % 3]);
+                if a != b && on_line.contains(&a) && on_line.contains(&b) {
+                    let [pa, pb] = [a, b].map(|u| self.atlas.uv[u.index()]);
+                    // Two vertices on the line need not be joined along it: near the ends of a short edge snapping may say so.
+                    if side(pa) == 0.0 && side(pb) == 0.0 && (0.0..=length).contains(&place((pa + pb) * 0.5)) {
+                        self.cuts.insert((a.min(b), a.max(b)));
+                    }
+                }
+            }
+        }
+    }
+
+    /// The edges to split: by their surface vertices, ascending, the place of the new vertex between them. Corners on the segment
+    /// are added to `on_line`.
+    fn crossings(
+        &self,
+        faces: &[FaceId],
+        side: &dyn Fn(DVec2) -> f64,
+        place: &dyn Fn(DVec2) -> f64,
+        length: f64,
+        on_line: &mut BTreeSet<UvId>,
+    ) -> BTreeMap<(VertexId, VertexId), f64> {
+        let mut split: BTreeMap<(VertexId, VertexId), f64> = BTreeMap::new();
+        for &face in faces {
             let p = self.atlas.uv_triangle(face);
             let s = p.map(side);
             let zeros = s.iter().filter(|s| **s == 0.0).count();
@@ -87,7 +122,6 @@ impl Slicer {
             if !apart {
                 continue;
             }
-            crossed.push(face);
             let t = self.atlas.surface.triangles[face.index()];
             for k in 0..3 {
                 let j = (k + 1) % 3;
@@ -100,22 +134,7 @@ impl Slicer {
                 }
             }
         }
-        let fresh = self.split_edges(&split, faces, others);
-        on_line.extend(fresh);
-        // Edges along the line separate its two sides.
-        for &face in faces.iter() {
-            let corners = self.atlas.corners[face.index()];
-            for k in 0..3 {
-                let (a, b) = (corners[k], corners[(k + 1) % 3]);
-                if a != b && on_line.contains(&a) && on_line.contains(&b) {
-                    let [pa, pb] = [a, b].map(|u| self.atlas.uv[u.index()]);
-                    // Two vertices on the line need not be joined along it: near the ends of a short edge snapping may say so.
-                    if side(pa) == 0.0 && side(pb) == 0.0 && (0.0..=length).contains(&place((pa + pb) * 0.5)) {
-                        self.cuts.insert((a.min(b), a.max(b)));
-                    }
-                }
-            }
-        }
+        split
     }
 
     /// Splits the edges in all faces that have them. Gives the new UV vertices.
@@ -349,6 +368,24 @@ mod tests {
             "no T-junction: only the outer border's split edge counts twice"
         );
         assert_eq!(Charts::new(&topology).len(), 3);
+    }
+
+    #[test]
+    fn a_seam_that_the_line_crosses_on_both_sides_is_split_at_both_places() {
+        // A tube cut open, wider at one side: its left and right border are one seam on the surface, and the line is not level.
+        let mut atlas = sheet(4, 3, DVec2::ZERO);
+        let at = |x: usize, y: usize| VertexId::new(y * 5 + x);
+        for v in atlas.surface.triangles.iter_mut().flatten() {
+            if v.index() % 5 == 4 {
+                *v = at(0, v.index() / 5);
+            }
+        }
+        let after = cut(&atlas, &[segment([-1.0, 1.3], [5.0, 1.6])]);
+        let topology = Topology::new(&after);
+        assert_eq!(Charts::new(&topology).len(), 2);
+        check(&atlas, &after, Exactness::Exact).unwrap();
+        let open = |a: &Atlas| Topology::new(a).surface_twin.iter().filter(|t| **t == NONE).count();
+        assert_eq!(open(&after), open(&atlas), "no T-junction");
     }
 
     #[test]

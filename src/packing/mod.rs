@@ -18,10 +18,11 @@ mod shape;
 use glam::{DMat2, DVec2};
 
 pub use fit::{Fitted, pack_into};
+pub use guided::Start;
 pub(crate) use greedy::{Layout, Plan, Rule, greedy};
 pub(crate) use mask::Mask;
 pub(crate) use occupancy::{Pitch, Probe};
-pub(crate) use orientation::Orientation;
+pub use orientation::Orientation;
 pub(crate) use random::Random;
 pub use search::pack;
 pub(crate) use shape::{Shape, Shapes};
@@ -86,6 +87,8 @@ pub struct Request<'a> {
     pub search: PackSearch,
     /// Words of occupancy that the search may look at; `None` is the search's own default.
     pub work_budget: Option<u64>,
+    /// Layouts to start from; where there are any, the thorough search begins there and nowhere else.
+    pub starts: &'a [Start],
     /// Multiplies the budget; 1 is the default.
     pub effort: f64,
     /// Seed of the search.

@@ -7,7 +7,7 @@ use crate::refine::options::Rotation;
 
 /// A rotation, after an optional mirroring of x.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Orientation {
+pub struct Orientation {
     /// Radians, from +x to +y, in 0..2 pi.
     pub angle: f64,
     /// Mirrored before turning.

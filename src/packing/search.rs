@@ -130,6 +130,13 @@ impl Search<'_> {
     fn run(&self) -> Result<Packing> {
         let side = self.side;
         let n = self.request.pieces.len();
+        if n > 1
+            && self.request.search == PackSearch::Thorough
+            && !self.request.starts.is_empty()
+            && let Some((_, packing)) = self.improved(self.request.starts, self.request.budget() as u64)?
+        {
+            return Ok(packing);
+        }
         let coarse = self.shapes(self.ways, self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
         self.context.step(0.1, "searching")?;
         let Found { best: tried, starts, mut work } = self.coarse(&coarse)?;
@@ -170,21 +177,19 @@ impl Search<'_> {
             return Ok(packing);
         }
         let starts: Vec<Start> = starts.par_iter().filter_map(|t| self.start(&coarse, t)).collect();
-        let outlines: Vec<Outline> = self.request.pieces.par_iter().map(Outline::new).collect();
-        let guided = Guided {
-            request: self.request,
-            outlines: &outlines,
-            ways: self.ways,
-            context: self.context,
-            side,
-            budget: (self.request.budget() as u64).saturating_sub(work),
-            cell: &|wanted| self.cell(wanted),
-        };
-        Ok(match guided.run(&starts)? {
+        Ok(match self.improved(&starts, (self.request.budget() as u64).saturating_sub(work))? {
             Some((least, better)) if least < cost => Packing { work: work + better.work, ..better },
             Some((_, worse)) => Packing { work: work + worse.work, ..packing },
             None => packing,
         })
+    }
+
+    /// The best that the thorough search makes of these layouts, and its cost.
+    fn improved(&self, starts: &[Start], budget: u64) -> Result<Option<(f64, Packing)>> {
+        let outlines: Vec<Outline> = self.request.pieces.par_iter().map(Outline::new).collect();
+        let (request, ways, context, side) = (self.request, self.ways, self.context, self.side);
+        let cell = &|wanted| self.cell(wanted);
+        Guided { request, outlines: &outlines, ways, context, side, budget, cell }.run(starts)
     }
 
     /// The layout of a coarse plan, for the thorough search.

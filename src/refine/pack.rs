@@ -9,7 +9,7 @@ use super::stage::{Frame, Staged};
 use crate::atlas::{Atlas, Charts, Clusters, Move, Topology, clusters, overlapping_charts};
 use crate::context::Context;
 use crate::error::{Code, Result, Warning};
-use crate::packing::{self, Packing, Piece, Placement, Request, Rounding, Spacing};
+use crate::packing::{self, Packing, Piece, Placement, Request, Rounding, Spacing, Start};
 
 /// Quarter-turned charts of mipmapped textures keep to multiples of this many texels, so that mip levels 1 and 2 stay as they were.
 const MIP_LATTICE: u32 = 4;
@@ -19,7 +19,7 @@ const MIP_LATTICE: u32 = 4;
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
 pub fn pack(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) -> Result<Staged> {
-    let (next, work) = lay_out(atlas, frame, options, context)?;
+    let (next, work) = lay_out(atlas, frame, options, &[], 1.0, context)?;
     let figures = Map::from_iter([("work".to_owned(), Value::from(work))]);
     let staged = Staged { atlas: next, stopped_by: "done", figures, kept: false };
     if keeps_input(atlas, &staged.atlas, frame, options) {
@@ -28,17 +28,26 @@ pub fn pack(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) 
     Ok(staged)
 }
 
-/// Packs the charts, or the clusters of charts, on new sheets, and gives the work that it took.
+/// Packs the charts, or the clusters of charts, on new sheets, and gives the work that it took. `starts` are layouts of the clusters in
+/// order for the thorough search to start from; `effort` multiplies its budget.
 ///
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
-pub(super) fn lay_out(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) -> Result<(Atlas, u64)> {
+pub(super) fn lay_out(
+    atlas: &Atlas,
+    frame: &Frame,
+    options: &Options,
+    starts: &[Start],
+    effort: f64,
+    context: &Context,
+) -> Result<(Atlas, u64)> {
     let topology = Topology::new(atlas);
     let charts = Charts::new(&topology);
     let together = clusters(atlas, &charts, options.atlas.overlaps);
     context.step(0.02, "outlining charts")?;
     let pieces: Vec<Piece> = together.charts.par_iter().map(|own| piece(atlas, &topology, &charts, own)).collect();
-    let packed = place(&pieces, frame, options, context)?;
+    let starts = if starts.iter().all(|s| s.places.len() == pieces.len()) { starts } else { &[] };
+    let packed = place(&pieces, frame, options, starts, effort, context)?;
     Ok((apply(atlas, &charts, &together, &packed), packed.work))
 }
 
@@ -89,7 +98,14 @@ fn spacing(frame: &Frame, pack: &Pack, scaled: bool) -> Spacing {
     Spacing { gutter, margin: (margin / lattice).ceil() * lattice, lattice: Some(lattice), unit }
 }
 
-fn place(pieces: &[Piece], frame: &Frame, options: &Options, context: &Context) -> Result<Packing> {
+fn place(
+    pieces: &[Piece],
+    frame: &Frame,
+    options: &Options,
+    starts: &[Start],
+    effort: f64,
+    context: &Context,
+) -> Result<Packing> {
     let texture = &options.texture;
     let step = f64::from(lcm(texture.multiple_of, frame.unit));
     let max = f64::from(texture.max_size);
@@ -108,7 +124,8 @@ fn place(pieces: &[Piece], frame: &Frame, options: &Options, context: &Context) 
         scale: 1.0,
         search: options.pack.search,
         work_budget: options.work_budget,
-        effort: 1.0,
+        starts,
+        effort,
         seed: options.seed,
     };
     let fitted = |sheet: [f64; 2], largest: f64| -> Result<Packing> {

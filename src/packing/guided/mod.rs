@@ -57,7 +57,7 @@ const POLISH: Gait = Gait { first: 0.004, least: 0.0004, patience: 12, drift: 0.
 
 /// A layout to start from.
 #[derive(Debug, Clone)]
-pub(super) struct Start {
+pub struct Start {
     /// By piece, how it is turned and where the corner of its box lies, in texels.
     pub places: Vec<(Orientation, DVec2)>,
     /// Sides of the box, in texels.

@@ -28,7 +28,7 @@ use self::field::Field;
 use self::panel::Raster;
 use self::params::{BoxCutter, Cuts, Search};
 use self::search::{Found, Ground, Limits, State, search};
-use super::options::{Options, OverlapMode, PackSearch, Rotation};
+use super::options::{Options, OverlapMode, Pack, PackSearch, Rotation};
 use super::pack::{keeps_input, lay_out};
 use super::stage::{Frame, Staged};
 use crate::atlas::{Atlas, ChartId, Charts, HalfEdge, Topology, clusters};
@@ -42,6 +42,8 @@ const CELLS: [(usize, f64); 3] = [(60, 160.0), (200, 208.0), (usize::MAX, 288.0)
 const WORK: u64 = 4_000_000_000;
 /// States whose cuts are made and packed at the fine resolution.
 const FINALS: usize = 3;
+/// Share of a thorough packing's work that each of them gets.
+const EFFORT: f64 = 0.1;
 
 /// Cuts and repacks.
 ///
@@ -99,7 +101,7 @@ pub(crate) fn box_cutter(
     let start = State { panels, arrangement, length, weighted: length, cuts: Vec::new() };
     let found = search(start, &ground, &limits, context)?;
 
-    let (state, laid, work) = finish(&clean, &topology, &charts, &found, unit, frame, options, context)?;
+    let (state, laid, work) = finish(&clean, &topology, &charts, &found, &ground.sheet.raster, unit, frame, options, context)?;
     figures.extend([
         ("work".to_owned(), json!(found.work + work)),
         ("candidates".to_owned(), json!(found.tried)),
@@ -191,23 +193,25 @@ fn finish(
     topology: &Topology,
     charts: &Charts,
     found: &Found,
+    raster: &Raster,
     unit: f64,
     frame: &Frame,
     options: &Options,
     context: &Context,
 ) -> Result<(State, Atlas, u64)> {
     let finals = &found.states[..found.states.len().min(FINALS)];
-    let fast = Options { pack: super::options::Pack { search: PackSearch::Fast, ..options.pack.clone() }, ..options.clone() };
+    // The layouts that the search ended with are improved, all a little, the best more.
+    let pack = Pack { search: PackSearch::Thorough, ..options.pack.clone() };
+    let own = Options { pack, work_budget: None, ..options.clone() };
     let mut best: Option<(f64, &State, Atlas)> = None;
     let mut work = 0;
     for (n, state) in finals.iter().enumerate() {
-        context.step(0.7 + 0.2 * n as f64 / finals.len() as f64, "packing the best")?;
-        let cut = start::apply(clean, topology, charts, &state.cuts, unit);
-        let (laid, own) = lay_out(&cut, frame, &fast, context)?;
+        context.step(0.7 + 0.3 * n as f64 / finals.len() as f64, "packing the best")?;
+        let (cut, origin) = start::apply(clean, topology, charts, &state.cuts, unit);
+        let layout = start::layout(&cut, &origin, options.atlas.overlaps, state, raster);
+        let (laid, own) = lay_out(&cut, frame, &own, layout.as_slice(), EFFORT, context)?;
         work += own;
         let efficiency = efficiency(&laid);
-        tracing::debug!(coarse = state.arrangement.efficiency, fine = efficiency, "packed");
-        if std::env::var("DBG").is_ok() { eprintln!("coarse {:.4} fine {:.4}", state.arrangement.efficiency, efficiency); }
         if best.as_ref().is_none_or(|(e, ..)| efficiency > *e) {
             best = Some((efficiency, state, laid));
         }

@@ -87,23 +87,43 @@ impl Panel {
         self.rigid.is_none()
     }
 
-    /// The panel's shapes, best axes first.
-    pub fn shapes(&self, raster: &Raster) -> Arc<Vec<Shape>> {
-        let make = || {
-            let quarters = if raster.rotation == Rotation::None { 1 } else { 4 };
-            let mut shapes = Vec::new();
-            for &mirror in if raster.mirror { &[false, true][..] } else { &[false] } {
-                for q in 0..quarters {
-                    let turn = std::f64::consts::FRAC_PI_2 * f64::from(q);
-                    let o = Orientation { angle: if mirror { turn - self.axes } else { turn + self.axes }, mirror };
-                    let linear = o.matrix();
-                    let (mask, anchor) = rasterise(&self.outline, self.rigid.as_deref(), linear, raster);
-                    let probe = Probe::new(&mask, raster.pitch);
-                    shapes.push(Shape { cells: mask.count(), mask, probe, anchor, linear });
-                }
-            }
-            Arc::new(shapes)
+    /// The middle of its area.
+    pub fn middle(&self) -> DVec2 {
+        let (mut sum, mut area) = (DVec2::ZERO, 0.0);
+        let mut add = |t: [DVec2; 3], a: f64| {
+            sum += (t[0] + t[1] + t[2]) / 3.0 * a;
+            area += a;
         };
+        match &self.rigid {
+            Some(triangles) => triangles.iter().for_each(|t| add(*t, (t[1] - t[0]).perp_dot(t[2] - t[0]).abs())),
+            None => {
+                let origin = self.outline.bounds().0;
+                self.outline.edges().for_each(|(a, b)| add([origin, a, b], (a - origin).perp_dot(b - origin)));
+            }
+        }
+        sum / if area == 0.0 { 1.0 } else { area }
+    }
+
+    /// The ways round that packing tries, best axes first.
+    pub fn orientations(&self, raster: &Raster) -> Vec<Orientation> {
+        let quarters = if raster.rotation == Rotation::None { 1 } else { 4 };
+        let mirrors = if raster.mirror { &[false, true][..] } else { &[false] };
+        let turn = |mirror: bool, q: u32| {
+            let quarter = std::f64::consts::FRAC_PI_2 * f64::from(q);
+            Orientation { angle: if mirror { quarter - self.axes } else { quarter + self.axes }, mirror }
+        };
+        mirrors.iter().flat_map(|&m| (0..quarters).map(move |q| turn(m, q))).collect()
+    }
+
+    /// The panel's shapes, in the order of its orientations.
+    pub fn shapes(&self, raster: &Raster) -> Arc<Vec<Shape>> {
+        let shape = |o: Orientation| {
+            let linear = o.matrix();
+            let (mask, anchor) = rasterise(&self.outline, self.rigid.as_deref(), linear, raster);
+            let probe = Probe::new(&mask, raster.pitch);
+            Shape { cells: mask.count(), mask, probe, anchor, linear }
+        };
+        let make = || Arc::new(self.orientations(raster).into_iter().map(shape).collect());
         self.shapes.get_or_init(make).clone()
     }
 

@@ -8,12 +8,13 @@ use rayon::prelude::*;
 
 use super::edges::{Mesh, Patch};
 use super::outline::Outline;
-use super::panel::Panel;
-use super::search::Cut;
+use super::panel::{Panel, Raster};
+use super::search::{Cut, State};
 use crate::atlas::{
-    Atlas, ChartId, Charts, Clusters, FaceId, Loops, Segment, Slicer, Topology, overlaps,
+    Atlas, ChartId, Charts, Clusters, FaceId, Loops, Segment, Slicer, Topology, clusters, overlaps,
 };
-use crate::refine::options::Rotation;
+use crate::packing::Start as Layout;
+use crate::refine::options::{OverlapMode, Rotation};
 
 /// Overlapping pairs that are looked for; beyond, charts are told apart by their areas alone.
 const PAIRS: usize = 1_000_000;
@@ -70,8 +71,15 @@ pub(crate) fn mesh<'a>(atlas: &'a Atlas, topology: &'a Topology, weights: Option
 /// Lines pass through a vertex that is nearer than this, relative to the longest side of the layout's box.
 const SNAP: f64 = 1e-5;
 
-/// Makes the cuts of a search. `unit` is the longest side of the layout's box in texels. The charts keep their coordinates.
-pub(crate) fn apply(atlas: &Atlas, topology: &Topology, charts: &Charts, cuts: &[Arc<Cut>], unit: f64) -> Atlas {
+/// Makes the cuts of a search; gives the Atlas and the chart that each of its faces comes from. `unit` is the longest side of the
+/// layout's box in texels. The charts keep their coordinates.
+pub(crate) fn apply(
+    atlas: &Atlas,
+    topology: &Topology,
+    charts: &Charts,
+    cuts: &[Arc<Cut>],
+    unit: f64,
+) -> (Atlas, Vec<ChartId>) {
     let along: Vec<_> = cuts
         .iter()
         .filter_map(|c| match &**c {
@@ -81,7 +89,7 @@ pub(crate) fn apply(atlas: &Atlas, topology: &Topology, charts: &Charts, cuts: &
         .flatten()
         .collect();
     if !along.is_empty() {
-        return atlas.cut_along(topology, &along);
+        return (atlas.cut_along(topology, &along), charts.of_face.clone());
     }
     let mut slicer = Slicer::new(atlas.clone(), SNAP * unit);
     let mut faces: Vec<Vec<FaceId>> = charts.faces.clone();
@@ -105,7 +113,45 @@ pub(crate) fn apply(atlas: &Atlas, topology: &Topology, charts: &Charts, cuts: &
             of_face.extend(fresh.iter().map(|f| f.1));
         }
     }
-    slicer.finish()
+    (slicer.finish(), of_face)
+}
+
+/// The layout of a search's last arrangement for the clusters of the Atlas that its cuts made, each matched to the panel that has its
+/// middle; `None` when they are not one to one.
+pub(crate) fn layout(atlas: &Atlas, origin: &[ChartId], mode: OverlapMode, state: &State, raster: &Raster) -> Option<Layout> {
+    let charts = Charts::new(&Topology::new(atlas));
+    let together = clusters(atlas, &charts, mode);
+    if std::env::var("DBG").is_ok() { eprintln!("charts {} panels {}", together.charts.len(), state.panels.len()); let mut a: Vec<f64> = charts.faces.iter().map(|f| f.iter().map(|f| atlas.uv_area(*f).abs()).sum()).collect(); let mut b: Vec<f64> = state.panels.iter().map(|p| p.area).collect(); a.sort_by(f64::total_cmp); b.sort_by(f64::total_cmp); eprintln!("{a:.1?}\n{b:.1?}"); }
+    if together.charts.len() != state.panels.len() {
+        return None;
+    }
+    let mut free: Vec<(u32, DVec2, usize)> =
+        state.panels.iter().enumerate().map(|(i, p)| (p.chart, p.middle(), i)).collect();
+    let mut places = Vec::with_capacity(together.charts.len());
+    for own in &together.charts {
+        let faces = || own.iter().flat_map(|c| charts.faces[c.index()].iter().copied());
+        let chart = origin[faces().next()?.index()].0;
+        let (mut sum, mut area) = (DVec2::ZERO, 0.0);
+        for f in faces() {
+            let (t, a) = (atlas.uv_triangle(f), atlas.uv_area(f).abs());
+            sum += (t[0] + t[1] + t[2]) / 3.0 * a;
+            area += a;
+        }
+        let middle = sum / area.max(1e-300);
+        let place = free
+            .iter()
+            .enumerate()
+            .filter(|(_, p)| p.0 == chart || own.len() > 1)
+            .min_by(|a, b| a.1.1.distance_squared(middle).total_cmp(&b.1.1.distance_squared(middle)))?
+            .0;
+        let (_, _, panel) = free.swap_remove(place);
+        let spot = state.arrangement.layout.spots[panel]?;
+        let orientation = state.panels[panel].orientations(raster)[spot.orientation as usize];
+        let corner = DVec2::new(f64::from(spot.x), f64::from(spot.y)) * raster.cell + DVec2::splat(raster.inflate);
+        places.push((orientation, corner));
+    }
+    let layout = &state.arrangement.layout;
+    Some(Layout { places, sides: [layout.width, layout.height].map(|s| s as f64 * raster.cell) })
 }
 
 /// Moves the charts that hold a face of `moved` to places of their own beside the layout, by whole multiples of `step` texels: where they
