@@ -3,7 +3,7 @@
 //! Pieces are rasterised conservatively in each allowed orientation; a greedy construction puts them, large to
 //! small, at the best of *all* free positions of a strip (Box Cutter, section 3.3), which bit-parallel occupancy makes
 //! cheap enough to search over orders, widths and rules at a coarse resolution; the best plans are built again at a fine one and
-//! settled there.
+//! settled there. The thorough search goes on from the best plans by guided local search over overlaps (`guided`).
 
 mod fit;
 mod greedy;

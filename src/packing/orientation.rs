@@ -33,7 +33,7 @@ impl Orientation {
 pub(crate) enum Angles {
     /// The piece's best axes.
     Axes,
-    /// The best axes, the tightest box, upright as it is, and so many more, evenly spread.
+    /// The best axes, so many more, evenly spread, and where that is more than one, the tightest box and upright as it is.
     Several(u32),
 }
 
@@ -46,7 +46,9 @@ pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, angl
         let axes = best_axes(piece);
         within = vec![axes];
         if let Angles::Several(more) = angles {
-            within.extend([0.0, tightest_box(piece)].into_iter().filter(|a| (a - axes).abs() > 1e-5));
+            if more > 1 {
+                within.extend([0.0, tightest_box(piece)].into_iter().filter(|a| (a - axes).abs() > 1e-5));
+            }
             within.extend((1..=more).map(|k| (axes + FRAC_PI_2 * f64::from(k) / f64::from(more + 1)) % FRAC_PI_2));
         }
     }

@@ -23,6 +23,9 @@ const COARSE_WORK: f64 = 8e7;
 const THOROUGH_WORK: f64 = 2e9;
 /// The part of it that goes to the greedy search for starts.
 const GREEDY_PART: f64 = 0.08;
+/// The same for more than `MANY` pieces, among which walks find little.
+const MANY_PART: f64 = 0.6;
+const MANY: usize = 300;
 /// Layouts of different widths that the thorough search starts from, and how much their widths differ at least (natural logarithm).
 const STARTS: usize = 8;
 const APART: f64 = 0.05;
@@ -139,13 +142,22 @@ impl Search<'_> {
         }
         let coarse = self.shapes(self.ways, self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
         self.context.step(0.1, "searching")?;
-        let Found { best: tried, starts, mut work } = self.coarse(&coarse)?;
+        let Found { best: mut tried, mut work, .. } = self.coarse(&coarse, PackSearch::Fast)?;
+        tried.truncate(if n > MANY { 2 } else { FINALISTS });
+        let mut starts = Vec::new();
+        if self.request.search == PackSearch::Thorough && n > 1 {
+            let found = self.coarse(&coarse, PackSearch::Thorough)?;
+            work += found.work;
+            starts = found.starts;
+            // Of many pieces no walk changes much: more plans are worth more.
+            tried.extend(found.best.into_iter().take(if n > MANY { FINALISTS } else { 0 }));
+        }
         let widest = tried.iter().map(|t| t.width).max().unwrap_or(0) as f64 * coarse.cell;
         let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
         let fine = self.shapes(&self.narrowed(&tried), fine_cell, widest + fine_cell);
         self.context.step(0.6, "placing")?;
         let mut best: Option<(f64, Layout)> = None;
-        let finals: Vec<Result<(f64, Layout)>> = tried[..tried.len().min(if n > 300 { 2 } else { FINALISTS })]
+        let finals: Vec<Result<(f64, Layout)>> = tried
             .par_iter()
             .map(|t| {
                 self.context.check()?;
@@ -156,7 +168,7 @@ impl Search<'_> {
                 let plan = Plan { width, height, partial: false, ..t.plan.clone() };
                 let (mut layout, mut table) = greedy(&fine, &plan);
                 if layout.left_over.is_empty() {
-                    settle(&mut table, &mut layout, if n > 300 { 1 } else { 2 });
+                    settle(&mut table, &mut layout, if n > MANY { 1 } else { 2 });
                 }
                 Ok((self.cost(&layout, &fine), layout))
             })
@@ -173,7 +185,7 @@ impl Search<'_> {
             return self.pages(&self.shapes(self.ways, fine_cell, self.span), work);
         };
         let packing = self.one_sheet(&layout, &fine, work);
-        if self.request.search == PackSearch::Fast || n == 1 {
+        if starts.is_empty() {
             return Ok(packing);
         }
         let starts: Vec<Start> = starts.par_iter().filter_map(|t| self.start(&coarse, t)).collect();
@@ -274,10 +286,14 @@ impl Search<'_> {
     }
 
     /// Orders, widths and rules, then mutations of the best, within the budget of work.
-    fn coarse(&self, shapes: &Shapes) -> Result<Found> {
-        let budget = match self.request.search {
-            PackSearch::Fast => self.request.budget(),
-            PackSearch::Thorough => self.request.budget() * GREEDY_PART,
+    fn coarse(&self, shapes: &Shapes, search: PackSearch) -> Result<Found> {
+        // The thorough search begins exactly as the fast one, so that it is never worse.
+        let all = self.request.budget();
+        let part = if self.request.pieces.len() > MANY { MANY_PART } else { GREEDY_PART };
+        let budget = match (self.request.search, search) {
+            (PackSearch::Fast, _) => all,
+            (_, PackSearch::Fast) => (all * GREEDY_PART).min(COARSE_WORK * self.request.effort),
+            (_, PackSearch::Thorough) => all * part,
         } as u64;
         let (side, limit) = (self.side, self.limit(0, shapes));
         let narrowest =
@@ -315,12 +331,12 @@ impl Search<'_> {
         // Widths near the square first: an interrupted search has tried them.
         plans.sort_by_key(|p| p.width.abs_diff((side / shapes.cell) as usize));
         for batch in plans.chunks(BATCH) {
-            self.evaluate(shapes, batch.to_vec(), &mut found)?;
+            self.evaluate(shapes, batch.to_vec(), search, &mut found)?;
             if found.work > budget / 2 && !found.best.is_empty() {
                 break;
             }
         }
-        let mut random = Random::new(self.context.seed ^ self.request.seed);
+        let mut random = Random::new(self.context.seed ^ self.request.seed ^ u64::from(search == PackSearch::Thorough));
         while found.work < budget
             && !found.best.is_empty()
             && self.request.pieces.len() > 1
@@ -331,18 +347,18 @@ impl Search<'_> {
             let batch = (0..BATCH)
                 .map(|k| Plan { height, ..mutate(&best[k % best.len().min(3)].plan, narrowest, limit, &mut random) })
                 .collect();
-            self.evaluate(shapes, batch, &mut found)?;
+            self.evaluate(shapes, batch, search, &mut found)?;
             self.context.step(0.1 + 0.5 * (found.work as f64 / budget as f64), "searching")?;
         }
         Ok(found)
     }
 
     /// Runs plans in parallel and keeps the best, in a fixed order.
-    fn evaluate(&self, shapes: &Shapes, plans: Vec<Plan>, found: &mut Found) -> Result<()> {
+    fn evaluate(&self, shapes: &Shapes, plans: Vec<Plan>, search: PackSearch, found: &mut Found) -> Result<()> {
         self.context.check()?;
         let Found { best, starts, work } = found;
         // Nothing worse than the worst that is kept need be finished.
-        let thorough = self.request.search == PackSearch::Thorough;
+        let thorough = search == PackSearch::Thorough;
         let kept = if thorough { STARTS } else { FINALISTS };
         let worst = if thorough { &*starts } else { &*best };
         let worst = worst.last().filter(|_| worst.len() >= kept).map(|t| t.cost);

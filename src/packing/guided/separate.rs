@@ -135,7 +135,7 @@ impl<'a> Table<'a> {
             } else {
                 stale += 1;
             }
-            if stale > patience || self.work > limit {
+            if stale > patience || self.work > limit || context.out_of_time() {
                 return Ok(false);
             }
             for k in (1..crowded.len()).rev() {
