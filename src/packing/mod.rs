@@ -18,8 +18,8 @@ mod shape;
 use glam::{DMat2, DVec2};
 
 pub use fit::{Fitted, pack_into};
-pub use guided::Start;
 pub(crate) use greedy::{Layout, Plan, Rule, greedy};
+pub use guided::Start;
 pub(crate) use mask::Mask;
 pub(crate) use occupancy::{Pitch, Probe};
 pub use orientation::Orientation;

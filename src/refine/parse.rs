@@ -22,7 +22,10 @@ pub const MAX_STAGES: usize = 32;
 /// Presets and stages that can be named, each with what it does.
 pub const RECIPES: &[(&str, &str)] = &[
     ("pack", "Places the charts as they are, better."),
-    ("box_cutter", "Removes overlaps, then cuts charts where that lets them pack better, within a budget of boundary length."),
+    (
+        "box_cutter",
+        "Removes overlaps, then cuts charts where that lets them pack better, within a budget of boundary length.",
+    ),
 ];
 /// Names of the contract that this version does not have yet.
 const LATER: &[&str] = &["defrag", "optcuts", "bounded", "scan"];

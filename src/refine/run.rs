@@ -2,13 +2,13 @@
 
 use serde_json::Value;
 
+use super::box_cutter::box_cutter;
 use super::deliver::deliver;
 use super::load::load;
 use super::options::{Options, Stage};
 use super::report::{Refinement, report};
 use super::stage::{Frame, Staged};
 use super::textures::bake_slots;
-use super::box_cutter::box_cutter;
 use super::{check, pack};
 use crate::asset::{File, Limits};
 use crate::context::Context;

@@ -28,6 +28,7 @@ fn stars(seed: u64, n: usize) -> Vec<Piece> {
 
 fn request(pieces: &[Piece]) -> Request<'_> {
     Request {
+        starts: &[],
         pieces,
         rotation: Rotation::Any,
         mirror: false,

@@ -108,7 +108,14 @@ impl Arrangement {
     }
 
     /// A line of the sheet, in cells, in the coordinates of a panel's chart.
-    pub fn line(&self, panel: usize, panels: &[Arc<Panel>], raster: &Raster, point: DVec2, along: DVec2) -> Option<Line> {
+    pub fn line(
+        &self,
+        panel: usize,
+        panels: &[Arc<Panel>],
+        raster: &Raster,
+        point: DVec2,
+        along: DVec2,
+    ) -> Option<Line> {
         let spot = self.layout.spots[panel]?;
         let shapes = panels[panel].shapes(raster);
         let shape = &shapes[spot.orientation as usize];

@@ -197,7 +197,9 @@ impl<'a> Mesh<'a> {
             while let Some(i) = stack.pop() {
                 own.push(whole.faces[i]);
                 for k in 0..3 {
-                    let Some(j) = self.across(&whole, 3 * whole.faces[i].0 + k).and_then(|t| index(t / 3)) else { continue };
+                    let Some(j) = self.across(&whole, 3 * whole.faces[i].0 + k).and_then(|t| index(t / 3)) else {
+                        continue;
+                    };
                     if label[j] == u32::MAX {
                         label[j] = lots.len() as u32;
                         stack.push(j);

@@ -45,10 +45,9 @@ impl Field {
     pub fn length(&self, chart: u32, line: &Line, from: f64, to: f64) -> f64 {
         let grid = &self.charts[chart as usize];
         let steps = ((to - from) / grid.cell).ceil().max(1.0) as usize;
-        let mean = (0..steps)
-            .map(|k| grid.at(line.at(from + (to - from) * (k as f64 + 0.5) / steps as f64)))
-            .sum::<f64>()
-            / steps as f64;
+        let mean =
+            (0..steps).map(|k| grid.at(line.at(from + (to - from) * (k as f64 + 0.5) / steps as f64))).sum::<f64>()
+                / steps as f64;
         mean * (to - from)
     }
 }

@@ -110,7 +110,18 @@ mod tests {
     #[test]
     fn small_parts_are_not_cut_off() {
         // A bar with a long tooth and a short one.
-        let bar = polygon(&[[0., 0.], [9., 0.], [9., 4.], [8., 4.], [8., 2.], [2., 2.], [2., 2.3], [1., 2.3], [1., 2.], [0., 2.]]);
+        let bar = polygon(&[
+            [0., 0.],
+            [9., 0.],
+            [9., 4.],
+            [8., 4.],
+            [8., 2.],
+            [2., 2.],
+            [2., 2.3],
+            [1., 2.3],
+            [1., 2.],
+            [0., 2.],
+        ]);
         let line = Line { point: DVec2::new(0.0, 2.1), along: DVec2::X };
         assert_eq!(chords(&bar, &line, 0.0).len(), 2);
         let kept = chords(&bar, &line, 1.0);

@@ -101,7 +101,8 @@ pub(crate) fn box_cutter(
     let start = State { panels, arrangement, length, weighted: length, cuts: Vec::new() };
     let found = search(start, &ground, &limits, context)?;
 
-    let (state, laid, work) = finish(&clean, &topology, &charts, &found, &ground.sheet.raster, unit, frame, options, context)?;
+    let (state, laid, work) =
+        finish(&clean, &topology, &charts, &found, &ground.sheet.raster, unit, frame, options, context)?;
     figures.extend([
         ("work".to_owned(), json!(found.work + work)),
         ("candidates".to_owned(), json!(found.tried)),
@@ -140,11 +141,8 @@ fn without_overlaps(
     let charts = Charts::new(&Topology::new(atlas));
     let together = clusters(atlas, &charts, options.atlas.overlaps);
     // Neither step makes, drops or renumbers faces: what holds of a chart is known by its faces.
-    let alone: Vec<bool> = charts
-        .of_face
-        .iter()
-        .map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1)
-        .collect();
+    let alone: Vec<bool> =
+        charts.of_face.iter().map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1).collect();
     let touchable = |charts: &Charts, chart: ChartId| charts.faces[chart.index()].iter().all(|f| alone[f.index()]);
     let before = atlas.clone();
     let mut next = atlas.clone();
@@ -179,8 +177,13 @@ fn without_overlaps(
         .faces()
         .map(|f| before.corners[f.index()] != next.corners[f.index()] || before.uv_triangle(f) != next.uv_triangle(f))
         .collect();
-    let cut: std::collections::BTreeSet<ChartId> =
-        changed.iter().zip(&charts.of_face).zip(&alone).filter(|((c, _), alone)| **c && **alone).map(|((_, chart), _)| *chart).collect();
+    let cut: std::collections::BTreeSet<ChartId> = changed
+        .iter()
+        .zip(&charts.of_face)
+        .zip(&alone)
+        .filter(|((c, _), alone)| **c && **alone)
+        .map(|((_, chart), _)| *chart)
+        .collect();
     let moved: Vec<bool> = charts.of_face.iter().map(|c| cut.contains(c)).collect();
     let step = f64::from(frame.unit) * 64.0;
     Ok(start::set_apart(&next, &moved, step))

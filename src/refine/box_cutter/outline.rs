@@ -153,10 +153,7 @@ impl Outline {
     /// Least and greatest coordinates.
     pub fn bounds(&self) -> (DVec2, DVec2) {
         let points = || self.loops.iter().flatten();
-        (
-            points().fold(DVec2::INFINITY, |m, p| m.min(*p)),
-            points().fold(DVec2::NEG_INFINITY, |m, p| m.max(*p)),
-        )
+        (points().fold(DVec2::INFINITY, |m, p| m.min(*p)), points().fold(DVec2::NEG_INFINITY, |m, p| m.max(*p)))
     }
 }
 

@@ -196,7 +196,9 @@ impl State {
         for panel in std::mem::take(&mut self.panels) {
             let meant = |c: &Chord| wanted.iter().any(|(a, b)| (c.from..c.to).contains(&((a + b) * 0.5)));
             let cut = (panel.chart == *chart && panel.cuttable())
-                .then(|| chords(&panel.outline, line, ground.choice.least).into_iter().filter(meant).collect::<Vec<_>>())
+                .then(|| {
+                    chords(&panel.outline, line, ground.choice.least).into_iter().filter(meant).collect::<Vec<_>>()
+                })
                 .filter(|own| !own.is_empty());
             match cut {
                 Some(own) => panels.extend(self.along(&panel, line, &own, ground).into_iter().map(Arc::new)),

@@ -10,9 +10,7 @@ use super::edges::{Mesh, Patch};
 use super::outline::Outline;
 use super::panel::{Panel, Raster};
 use super::search::{Cut, State};
-use crate::atlas::{
-    Atlas, ChartId, Charts, Clusters, FaceId, Loops, Segment, Slicer, Topology, clusters, overlaps,
-};
+use crate::atlas::{Atlas, ChartId, Charts, Clusters, FaceId, Loops, Segment, Slicer, Topology, clusters, overlaps};
 use crate::packing::Start as Layout;
 use crate::refine::options::{OverlapMode, Rotation};
 
@@ -54,7 +52,8 @@ pub(crate) fn panels(
                 && (outline.area() - area).abs() <= SAME_AREA * area
                 && outline.loops.iter().flatten().all(|p| p.is_finite());
             if !simple {
-                let triangles = faces().map(|f| atlas.uv_triangle(f)).filter(|t| t.iter().all(|p| p.is_finite())).collect();
+                let triangles =
+                    faces().map(|f| atlas.uv_triangle(f)).filter(|t| t.iter().all(|p| p.is_finite())).collect();
                 return Arc::new(Panel::rigid(id, outline, triangles, area, rotation));
             }
             let patch = along_edges.then(|| Patch { faces: Arc::new(faces().collect()), ..Patch::default() });
@@ -118,10 +117,15 @@ pub(crate) fn apply(
 
 /// The layout of a search's last arrangement for the clusters of the Atlas that its cuts made, each matched to the panel that has its
 /// middle; `None` when they are not one to one.
-pub(crate) fn layout(atlas: &Atlas, origin: &[ChartId], mode: OverlapMode, state: &State, raster: &Raster) -> Option<Layout> {
+pub(crate) fn layout(
+    atlas: &Atlas,
+    origin: &[ChartId],
+    mode: OverlapMode,
+    state: &State,
+    raster: &Raster,
+) -> Option<Layout> {
     let charts = Charts::new(&Topology::new(atlas));
     let together = clusters(atlas, &charts, mode);
-    if std::env::var("DBG").is_ok() { eprintln!("charts {} panels {}", together.charts.len(), state.panels.len()); let mut a: Vec<f64> = charts.faces.iter().map(|f| f.iter().map(|f| atlas.uv_area(*f).abs()).sum()).collect(); let mut b: Vec<f64> = state.panels.iter().map(|p| p.area).collect(); a.sort_by(f64::total_cmp); b.sort_by(f64::total_cmp); eprintln!("{a:.1?}\n{b:.1?}"); }
     if together.charts.len() != state.panels.len() {
         return None;
     }
