@@ -3,6 +3,7 @@
 use std::io::Write as _;
 
 use super::check;
+use super::fabrication::{FabricationParams, panels};
 use super::load::Loaded;
 use super::options::{Options, Output};
 use super::report::{Refinement, report};
@@ -38,6 +39,9 @@ pub(super) fn deliver(
     let mut artifacts = models(&documents, options.output)?;
     let text = serde_json::to_vec_pretty(&report).map_err(|e| Failure::internal(e.to_string()))?;
     artifacts.push(Artifact::new("report.json", "report", "application/json", text));
+    if let Some(params) = &options.fabrication {
+        artifacts.extend(refinements.iter().flat_map(|r| panel_files(r, params)));
+    }
     if input.extras {
         for r in &refinements {
             // A texture that several sets share may stand beside its models already.
@@ -136,6 +140,16 @@ fn side_file(file: File) -> Artifact {
     Artifact::new(file.path, role, media_type, file.bytes)
 }
 
+/// The panels of one atlas: a file for each sheet.
+fn panel_files(r: &Refinement<'_>, params: &FabricationParams) -> Vec<Artifact> {
+    let id = r.group.set().id;
+    let file = |(page, svg): (usize, String)| {
+        let name = if page == 0 { format!("panels-{id}.svg") } else { format!("panels-{id}.page-{page}.svg") };
+        Artifact::new(name, "fabrication", "image/svg+xml", svg.into_bytes())
+    };
+    panels(&r.atlas, params).into_iter().enumerate().map(file).collect()
+}
+
 /// Textures and pictures of one atlas as files of their own.
 fn extras(r: &Refinement<'_>) -> Vec<Artifact> {
     let set = r.group.set();
@@ -166,7 +180,7 @@ fn archive(artifacts: &[Artifact]) -> Result<Vec<u8>> {
     let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     for artifact in artifacts {
         let method = match artifact.media_type.as_str() {
-            "application/json" | "model/gltf+json" => zip::CompressionMethod::Deflated,
+            "application/json" | "model/gltf+json" | "image/svg+xml" => zip::CompressionMethod::Deflated,
             _ => zip::CompressionMethod::Stored,
         };
         let options = zip::write::SimpleFileOptions::default()

@@ -2,6 +2,7 @@
 
 mod check;
 mod deliver;
+pub mod fabrication;
 mod group;
 pub mod importance;
 mod load;

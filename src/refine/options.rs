@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
+pub use super::fabrication::{FabricationParams, Seams};
+
 /// All options of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -20,6 +22,8 @@ pub struct Options {
     pub atlas: AtlasOptions,
     /// Which parts of the surface matter more; null is all alike.
     pub importance: Option<ImportanceSource>,
+    /// Panels to cut from sheets, drawn of the refined charts; null draws none.
+    pub fabrication: Option<FabricationParams>,
     /// Container of the output model.
     pub output: Output,
     /// Requirements on the report: a dotted path to its bounds.
@@ -42,6 +46,7 @@ impl Default for Options {
             texture: Texture::default(),
             atlas: AtlasOptions::default(),
             importance: None,
+            fabrication: None,
             output: Output::Glb,
             require: BTreeMap::new(),
             seed: 0,

@@ -9,7 +9,9 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use super::importance::attribute_and_component;
-use super::options::{AtlasOptions, ImportanceSource, Options, Pack, Recipe, Requirement, Size, Stage, Texture};
+use super::options::{
+    AtlasOptions, FabricationParams, ImportanceSource, Options, Pack, Recipe, Requirement, Size, Stage, Texture,
+};
 use crate::error::{Code, Failure};
 pub use words::nearest;
 use words::{child, kind, name, short};
@@ -67,6 +69,9 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
             "pack" => out.pack = section::<Pack>(value, &pointer, &mut problems),
             "texture" => out.texture = section::<Texture>(value, &pointer, &mut problems),
             "atlas" => out.atlas = section::<AtlasOptions>(value, &pointer, &mut problems),
+            "fabrication" if !value.is_null() => {
+                out.fabrication = Some(section::<FabricationParams>(value, &pointer, &mut problems));
+            }
             "require" => out.require = requirements(value, &pointer, &mut problems),
             _ if known.iter().any(|k| k == key) => {
                 let one = Value::Object(Map::from_iter([(key.clone(), value.clone())]));
@@ -274,6 +279,11 @@ fn ranges(o: &Options) -> Vec<Problem> {
     within("/texture/max_size", o.texture.max_size.into(), 16.0, 16384.0);
     within("/texture/jpeg_quality", o.texture.jpeg_quality.into(), 1.0, 100.0);
     within("/atlas/uv_set", o.atlas.uv_set.into(), 0.0, 7.0);
+    if let Some(fabrication) = &o.fabrication {
+        within("/fabrication/model_unit_mm", fabrication.model_unit_mm, 1e-6, 1e9);
+        within("/fabrication/width_mm", fabrication.width_mm, 0.0, 10_000.0);
+        within("/fabrication/fold_angle", fabrication.fold_angle.unwrap_or(0.0), 0.0, std::f64::consts::PI);
+    }
     if let Some(limit) = o.time_limit_s.filter(|l| !(*l > 0.0 && *l <= 1e9)) {
         out.push(Problem::new(
             "/time_limit_s",
@@ -444,6 +454,16 @@ mod tests {
     #[test]
     fn what_is_neutral_is_accepted() {
         assert!(options(&json!({"importance": null, "atlas": {"merge": false}, "work_budget": null})).is_ok());
+    }
+
+    #[test]
+    fn fabrication_is_asked_for() {
+        assert_eq!(options(&json!({"fabrication": null})).unwrap().fabrication, None);
+        let asked = options(&json!({"fabrication": {"width_mm": 5}})).unwrap().fabrication;
+        assert_eq!(asked, Some(FabricationParams { width_mm: 5.0, ..FabricationParams::default() }));
+        let wrong = options(&json!({"fabrication": {"fold_angle": 4, "seam": "flaps"}})).unwrap_err();
+        let found: Vec<&str> = wrong.iter().map(|p| p.pointer.as_str()).collect();
+        assert_eq!(found, ["/fabrication/seam", "/fabrication/fold_angle"]);
     }
 
     #[test]

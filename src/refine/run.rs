@@ -30,7 +30,7 @@ pub struct Input {
 pub struct Artifact {
     /// File name.
     pub name: String,
-    /// `model`, `side_file`, `report`, `texture`, `picture` or `archive`.
+    /// `model`, `side_file`, `report`, `texture`, `picture`, `fabrication` or `archive`.
     pub role: String,
     /// Media type.
     pub media_type: String,
