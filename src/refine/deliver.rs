@@ -1,5 +1,6 @@
 //! What a job hands back: the models written and checked, and the files of its result.
 
+use std::borrow::Cow;
 use std::io::Write as _;
 
 use super::check;
@@ -56,7 +57,7 @@ pub(super) fn deliver(
 
 /// The documents with what was refined; the Atlases of the refinements become those that the documents hold.
 fn write(loaded: &Loaded, refinements: &mut [Refinement<'_>], context: &Context) -> Result<Vec<Document>> {
-    let mut parts: Vec<Vec<(Atlas, Vec<FaceId>)>> = Vec::new();
+    let mut parts: Vec<Vec<(Cow<'_, Atlas>, Vec<FaceId>)>> = Vec::new();
     for r in refinements.iter() {
         parts.push(if r.kept { Vec::new() } else { r.group.part(&r.atlas)? });
     }
@@ -65,23 +66,24 @@ fn write(loaded: &Loaded, refinements: &mut [Refinement<'_>], context: &Context)
     for (index, model) in loaded.models.iter().enumerate() {
         context.step(0.3 * index as f64 / loaded.models.len() as f64, "writing")?;
         loaded.speak_of(index, context);
-        let mut own = Vec::new();
+        let (mut refined, mut owners) = (Vec::new(), Vec::new());
         for (g, (r, parts)) in refinements.iter().zip(&parts).enumerate() {
             for (member, (atlas, faces)) in r.group.members.iter().zip(parts).filter(|(m, _)| m.model == index) {
                 let images = r.slots.iter().filter_map(|baked| {
                     let slot = member.slots.iter().position(|s| *s == Some(baked.slot))?;
                     Some(baked_images(r, baked, slot))
                 });
-                own.push((g, faces, Refined { set: &member.set, atlas, images: images.flatten().collect() }));
+                refined.push(Refined { set: &member.set, atlas, images: images.flatten().collect() });
+                owners.push((g, faces));
             }
         }
-        let refined: Vec<Refined<'_>> = own.iter().map(|(_, _, refined)| refined.clone()).collect();
         let doc = asset::write(&model.doc, &refined, context)?;
-        for (i, (g, faces, _)) in own.iter().enumerate() {
-            written[*g].push((asset::read_back(&doc, &refined, i, context)?, faces.to_vec()));
+        for (i, (g, faces)) in owners.into_iter().enumerate() {
+            written[g].push((asset::read_back(&doc, &refined, i, context)?, faces.clone()));
         }
         documents.push(doc);
     }
+    drop(parts);
     context.speak_of(None);
     context.step(0.3, "checking what was written")?;
     for (r, written) in refinements.iter_mut().zip(written).filter(|(r, _)| !r.kept) {

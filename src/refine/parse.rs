@@ -1,5 +1,6 @@
 //! Options as users write them: JSON, `--set PATH=VALUE`, a recipe's name. Every problem is found, not only the first.
 
+mod ranges;
 mod words;
 
 use std::collections::BTreeMap;
@@ -8,10 +9,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use super::importance::attribute_and_component;
-use super::options::{
-    AtlasOptions, FabricationParams, ImportanceSource, Options, Pack, Recipe, Requirement, Size, Stage, Texture,
-};
+use super::options::{AtlasOptions, FabricationParams, Options, Pack, Recipe, Requirement, Stage, Texture};
 use crate::error::{Code, Failure};
 pub use words::nearest;
 use words::{child, kind, name, short};
@@ -83,7 +81,7 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
             _ => problems.push(unknown(&pointer, key, &known)),
         }
     }
-    problems.extend(ranges(&out));
+    problems.extend(ranges::ranges(&out));
     if problems.is_empty() { Ok(out) } else { Err(problems) }
 }
 
@@ -263,74 +261,6 @@ fn stage_problem(pointer: &str, name: &str) -> Option<Problem> {
     Some(Problem::new(pointer, format!("no recipe or stage is called `{}`{hint}", short(name))))
 }
 
-/// What the types cannot say.
-fn ranges(o: &Options) -> Vec<Problem> {
-    let mut out = Vec::new();
-    let mut within = |pointer: &str, value: f64, low: f64, high: f64| {
-        if !(low..=high).contains(&value) {
-            out.push(Problem::new(pointer, format!("`{}` is {value}, outside {low}..={high}", name(pointer))));
-        }
-    };
-    within("/pack/grid", o.pack.grid.into(), 1.0, 64.0);
-    if let Some(aspect) = o.pack.aspect {
-        within("/pack/aspect", aspect, 0.01, 100.0);
-    }
-    within("/texture/multiple_of", o.texture.multiple_of.into(), 1.0, 256.0);
-    within("/texture/max_size", o.texture.max_size.into(), 16.0, 16384.0);
-    within("/texture/jpeg_quality", o.texture.jpeg_quality.into(), 1.0, 100.0);
-    within("/atlas/uv_set", o.atlas.uv_set.into(), 0.0, 7.0);
-    if let Some(fabrication) = &o.fabrication {
-        within("/fabrication/model_unit_mm", fabrication.model_unit_mm, 1e-6, 1e9);
-        within("/fabrication/width_mm", fabrication.width_mm, 0.0, 10_000.0);
-        within("/fabrication/fold_angle", fabrication.fold_angle.unwrap_or(0.0), 0.0, std::f64::consts::PI);
-    }
-    if let Some(limit) = o.time_limit_s.filter(|l| !(*l > 0.0 && *l <= 1e9)) {
-        out.push(Problem::new(
-            "/time_limit_s",
-            format!("`time_limit_s` is {limit}, not more than 0 (and at most 1e9)"),
-        ));
-    }
-    if o.work_budget == Some(0) {
-        out.push(Problem::new("/work_budget", "`work_budget` is 0; it is at least 1, or null"));
-    }
-    if let Size::Fixed(size) = o.texture.size {
-        let max = o.texture.max_size;
-        if size.iter().any(|s| *s > max) {
-            out.push(Problem::new("/texture/size", format!("`size` {size:?} exceeds `max_size` {max}")));
-        }
-        let multiple = o.texture.multiple_of.max(1);
-        if size.iter().any(|s| s % multiple != 0) {
-            out.push(Problem::new(
-                "/texture/size",
-                format!("`size` {size:?} is no multiple of `multiple_of` {multiple}"),
-            ));
-        }
-        if o.texture.power_of_two && !size.iter().all(|s| s.is_power_of_two()) {
-            out.push(Problem::new("/texture/size", format!("`size` {size:?} is no power of two")));
-        }
-    }
-    match &o.importance {
-        Some(ImportanceSource::Attribute(name)) if attribute_and_component(name).is_none() => {
-            let text = format!("`{}` is not an attribute and a component, such as COLOR_0.r", short(name));
-            out.push(Problem::new("/importance/attribute", text));
-        }
-        Some(ImportanceSource::Texture(name)) if name.is_empty() => {
-            out.push(Problem::new("/importance/texture", "`texture` is the name of a file that comes with the model"));
-        }
-        Some(ImportanceSource::Materials(weights)) => {
-            for (name, weight) in weights.iter().filter(|(_, w)| !w.is_finite() || **w < 0.0) {
-                let text = format!("the weight of `{}` is {weight}; it is at least 0", short(name));
-                out.push(Problem::new(child("/importance/materials", name), text));
-            }
-        }
-        _ => {}
-    }
-    if serde_json::to_vec(&o.metadata).map_or(true, |m| m.len() > MAX_METADATA_BYTES) {
-        out.push(Problem::new("/metadata", format!("`metadata` is larger than {MAX_METADATA_BYTES} bytes of JSON")));
-    }
-    out
-}
-
 /// Whether this version has a key.
 enum Standing {
     Here,
@@ -397,7 +327,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::refine::options::{Gutter, Rotation};
+    use crate::refine::options::{Gutter, Rotation, Size};
 
     #[test]
     fn empty_options_are_the_defaults_and_every_default_reads_back() {
