@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::io::Write as _;
 
 use super::check;
-use super::fabrication::{FabricationParams, panels};
+use super::fabrication::{FabricationParams, panels, worst_scale};
 use super::load::Loaded;
 use super::options::{Options, Output};
 use super::report::{Refinement, report};
@@ -13,11 +13,14 @@ use super::textures::BakedSlot;
 use crate::asset::{self, BakedImage, Document, File, Refined};
 use crate::atlas::{Atlas, FaceId};
 use crate::context::Context;
-use crate::error::{Failure, Result};
+use crate::error::{Failure, Result, Warning};
 use crate::metrics::{picture, unmet};
 
 /// Longest side of a picture, in pixels.
 const PICTURE_SIDE: u32 = 1024;
+
+/// Panels whose size is off by more than this factor do not fit together.
+const SAME_SCALE: f64 = 1.01;
 
 /// Writes the refined groups into their models, reads them back, checks and measures them, and gathers the files.
 ///
@@ -32,6 +35,12 @@ pub(super) fn deliver(
 ) -> Result<Outcome> {
     let documents = write(loaded, &mut refinements, context)?;
     context.step(0.5, "measuring")?;
+    let mut panels = Vec::new();
+    if let Some(params) = &options.fabrication {
+        for r in &refinements {
+            panels.extend(panel_files(r, params, context));
+        }
+    }
     let report = report(loaded, &refinements, true, context)?;
     let failures = unmet(&report, &options.require)?;
     let report = serde_json::to_value(&report).map_err(|e| Failure::internal(e.to_string()))?;
@@ -40,9 +49,7 @@ pub(super) fn deliver(
     let mut artifacts = models(&documents, options.output)?;
     let text = serde_json::to_vec_pretty(&report).map_err(|e| Failure::internal(e.to_string()))?;
     artifacts.push(Artifact::new("report.json", "report", "application/json", text));
-    if let Some(params) = &options.fabrication {
-        artifacts.extend(refinements.iter().flat_map(|r| panel_files(r, params)));
-    }
+    artifacts.append(&mut panels);
     if input.extras {
         for r in &refinements {
             // A texture that several sets share may stand beside its models already.
@@ -143,8 +150,15 @@ fn side_file(file: File) -> Artifact {
 }
 
 /// The panels of one atlas: a file for each sheet.
-fn panel_files(r: &Refinement<'_>, params: &FabricationParams) -> Vec<Artifact> {
+fn panel_files(r: &Refinement<'_>, params: &FabricationParams, context: &Context) -> Vec<Artifact> {
     let id = r.group.set().id;
+    let off = worst_scale(&r.atlas);
+    if off > SAME_SCALE {
+        let text = format!(
+            "the charts of atlas {id} differ in scale: some panels are too large or too small by a factor of {off:.3}"
+        );
+        context.warn(Warning::new("panel_scale", text));
+    }
     let file = |(page, svg): (usize, String)| {
         let name = if page == 0 { format!("panels-{id}.svg") } else { format!("panels-{id}.page-{page}.svg") };
         Artifact::new(name, "fabrication", "image/svg+xml", svg.into_bytes())

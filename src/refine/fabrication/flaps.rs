@@ -24,7 +24,7 @@ pub(super) fn flap(line: &[DVec2], outward: f64, width: f64) -> Vec<DVec2> {
     let (head, tail) = (&edges[0], &edges[edges.len() - 1]);
     let mut out = vec![*first, *first + normal(*head, outward) * width + along(head) * slant];
     for pair in edges.windows(2) {
-        join(pair[0][1], normal(pair[0], outward), normal(pair[1], outward), width, &mut out);
+        join(pair[0][1], normal(pair[0], outward), normal(pair[1], outward), outward, width, &mut out);
     }
     out.push(*last + normal(*tail, outward) * width - along(tail) * slant);
     out.push(*last);

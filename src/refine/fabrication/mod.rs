@@ -15,7 +15,10 @@ pub use params::{FabricationParams, Seams};
 use seams::seams;
 use svg::Sheet;
 
-use crate::atlas::{Atlas, Charts, Loops, Topology};
+use crate::atlas::{Atlas, Charts, FaceId, Loops, Topology};
+
+/// Charts of less than this part of the surface say nothing of scale.
+const NEGLIGIBLE: f64 = 1e-6;
 
 /// Millimetres by texel: equal areas on the surface and on the sheet. None where either has none.
 pub(crate) fn mm_per_texel(atlas: &Atlas, params: &FabricationParams) -> Option<f64> {
@@ -28,6 +31,20 @@ pub(crate) fn mm_per_texel(atlas: &Atlas, params: &FabricationParams) -> Option<
 pub fn gutter_texels(atlas: &Atlas, params: &FabricationParams) -> u32 {
     let width = if params.seams == Seams::None { 0.0 } else { params.width_mm };
     mm_per_texel(atlas, params).map_or(0, |scale| (2.0 * width / scale).ceil().min(f64::from(u32::MAX)) as u32)
+}
+
+/// By how much the size of the worst chart is off, as a factor of at least 1: all panels are drawn at one scale, and charts whose
+/// texels are finer or coarser than the others' come out too large or too small. 1 where nothing has an area.
+pub(crate) fn worst_scale(atlas: &Atlas) -> f64 {
+    let charts = Charts::new(&Topology::new(atlas));
+    let sums =
+        |faces: &[FaceId]| faces.iter().fold((0.0, 0.0), |(s, t), f| (s + atlas.area(*f), t + atlas.uv_area(*f).abs()));
+    let all: Vec<(f64, f64)> = charts.faces.iter().map(|faces| sums(faces)).collect();
+    let (surface, sheet) = all.iter().fold((0.0, 0.0), |(s, t), c| (s + c.0, t + c.1));
+    // Charts that are next to nothing are no panels.
+    let large = all.iter().filter(|c| c.0 > NEGLIGIBLE * surface && c.1 > 0.0);
+    let off = large.map(|c| ((c.0 / c.1) / (surface / sheet)).sqrt()).map(|ratio| ratio.max(ratio.recip()));
+    off.filter(|o| o.is_finite()).fold(1.0, f64::max)
 }
 
 /// One SVG for each sheet of `atlas`, in millimetres; none where the surface or its charts have no area.

@@ -80,6 +80,15 @@ fn outlines_have_the_size_of_the_surface() {
     assert_eq!(gutter_texels(&atlas, &params(Seams::Allowance)), 4);
     assert_eq!(gutter_texels(&atlas, &params(Seams::None)), 0);
     assert_eq!(sheets, panels(&atlas, &params(Seams::Allowance)));
+    assert!((worst_scale(&atlas) - 1.0).abs() < 1e-9);
+    let mut uneven = atlas.clone();
+    let second: Vec<usize> = uneven.faces().filter(|f| uneven.page[f.index()] == 1).map(|f| f.index()).collect();
+    let mut corners: Vec<_> = second.iter().flat_map(|f| uneven.corners[*f]).collect();
+    corners.sort_unstable();
+    corners.dedup();
+    corners.iter().for_each(|c| uneven.uv[c.index()] *= 2.0);
+    // Areas of 4 by 1 and 4 by 4 instead of 8 by 5: the first is drawn too small by sqrt(2.5).
+    assert!((worst_scale(&uneven) - 2.5f64.sqrt()).abs() < 1e-9, "{}", worst_scale(&uneven));
 }
 
 #[test]
