@@ -19,9 +19,7 @@ pub(crate) struct SeamRun {
 /// (Box Cutter, section 4.1).
 #[derive(Debug, Clone)]
 pub(crate) struct RigidSeam {
-    /// Charts of the edges and of their twins.
-    pub charts: [ChartId; 2],
-    /// Border half edges of `charts[0]`.
+    /// Border half edges of the chart with the smaller number.
     pub edges: Vec<HalfEdge>,
     /// Maps the twins onto the edges.
     pub motion: Rigid,
@@ -120,7 +118,7 @@ pub(crate) fn rigid_seams(atlas: &Atlas, topology: &Topology, run: &SeamRun, tol
             match fit_rigid(&pairs) {
                 Some((motion, residual)) if residual <= tolerance => {
                     let length = edges.iter().map(|&h| uv_length(atlas, h)).sum();
-                    found.push(RigidSeam { charts: run.charts, edges: edges.to_vec(), motion, length });
+                    found.push(RigidSeam { edges: edges.to_vec(), motion, length });
                     break;
                 }
                 _ => stop = start + (stop - start) / 2,

@@ -96,6 +96,9 @@ fn write_models(arguments: &Refine, input: &Input, outcome: &Outcome) -> Result<
         };
         plan.push((path, model));
     }
+    let stem = output.file_stem().unwrap_or_default().to_string_lossy();
+    let panels = outcome.artifacts.iter().filter(|a| a.role == "fabrication");
+    plan.extend(panels.map(|a| (output.with_file_name(format!("{stem}.{}", a.name)), a)));
     let mut written = Vec::new();
     for (path, artifact) in plan {
         if let Some(folder) = path.parent().filter(|f| *f != folder) {

@@ -1,8 +1,10 @@
 //! What a job hands back: the models written and checked, and the files of its result.
 
+use std::borrow::Cow;
 use std::io::Write as _;
 
 use super::check;
+use super::fabrication::{FabricationParams, panels, worst_scale};
 use super::load::Loaded;
 use super::options::{Options, Output};
 use super::report::{Refinement, report};
@@ -11,11 +13,14 @@ use super::textures::BakedSlot;
 use crate::asset::{self, BakedImage, Document, File, Refined};
 use crate::atlas::{Atlas, FaceId};
 use crate::context::Context;
-use crate::error::{Failure, Result};
+use crate::error::{Failure, Result, Warning};
 use crate::metrics::{picture, unmet};
 
 /// Longest side of a picture, in pixels.
 const PICTURE_SIDE: u32 = 1024;
+
+/// Panels whose size is off by more than this factor do not fit together.
+const SAME_SCALE: f64 = 1.01;
 
 /// Writes the refined groups into their models, reads them back, checks and measures them, and gathers the files.
 ///
@@ -30,6 +35,12 @@ pub(super) fn deliver(
 ) -> Result<Outcome> {
     let documents = write(loaded, &mut refinements, context)?;
     context.step(0.5, "measuring")?;
+    let mut panels = Vec::new();
+    if let Some(params) = &options.fabrication {
+        for r in &refinements {
+            panels.extend(panel_files(r, params, context));
+        }
+    }
     let report = report(loaded, &refinements, true, context)?;
     let failures = unmet(&report, &options.require)?;
     let report = serde_json::to_value(&report).map_err(|e| Failure::internal(e.to_string()))?;
@@ -38,6 +49,7 @@ pub(super) fn deliver(
     let mut artifacts = models(&documents, options.output)?;
     let text = serde_json::to_vec_pretty(&report).map_err(|e| Failure::internal(e.to_string()))?;
     artifacts.push(Artifact::new("report.json", "report", "application/json", text));
+    artifacts.append(&mut panels);
     if input.extras {
         for r in &refinements {
             // A texture that several sets share may stand beside its models already.
@@ -52,7 +64,7 @@ pub(super) fn deliver(
 
 /// The documents with what was refined; the Atlases of the refinements become those that the documents hold.
 fn write(loaded: &Loaded, refinements: &mut [Refinement<'_>], context: &Context) -> Result<Vec<Document>> {
-    let mut parts: Vec<Vec<(Atlas, Vec<FaceId>)>> = Vec::new();
+    let mut parts: Vec<Vec<(Cow<'_, Atlas>, Vec<FaceId>)>> = Vec::new();
     for r in refinements.iter() {
         parts.push(if r.kept { Vec::new() } else { r.group.part(&r.atlas)? });
     }
@@ -61,23 +73,24 @@ fn write(loaded: &Loaded, refinements: &mut [Refinement<'_>], context: &Context)
     for (index, model) in loaded.models.iter().enumerate() {
         context.step(0.3 * index as f64 / loaded.models.len() as f64, "writing")?;
         loaded.speak_of(index, context);
-        let mut own = Vec::new();
+        let (mut refined, mut owners) = (Vec::new(), Vec::new());
         for (g, (r, parts)) in refinements.iter().zip(&parts).enumerate() {
             for (member, (atlas, faces)) in r.group.members.iter().zip(parts).filter(|(m, _)| m.model == index) {
                 let images = r.slots.iter().filter_map(|baked| {
                     let slot = member.slots.iter().position(|s| *s == Some(baked.slot))?;
                     Some(baked_images(r, baked, slot))
                 });
-                own.push((g, faces, Refined { set: &member.set, atlas, images: images.flatten().collect() }));
+                refined.push(Refined { set: &member.set, atlas, images: images.flatten().collect() });
+                owners.push((g, faces));
             }
         }
-        let refined: Vec<Refined<'_>> = own.iter().map(|(_, _, refined)| refined.clone()).collect();
         let doc = asset::write(&model.doc, &refined, context)?;
-        for (i, (g, faces, _)) in own.iter().enumerate() {
-            written[*g].push((asset::read_back(&doc, &refined, i, context)?, faces.to_vec()));
+        for (i, (g, faces)) in owners.into_iter().enumerate() {
+            written[g].push((asset::read_back(&doc, &refined, i, context)?, faces.clone()));
         }
         documents.push(doc);
     }
+    drop(parts);
     context.speak_of(None);
     context.step(0.3, "checking what was written")?;
     for (r, written) in refinements.iter_mut().zip(written).filter(|(r, _)| !r.kept) {
@@ -136,6 +149,23 @@ fn side_file(file: File) -> Artifact {
     Artifact::new(file.path, role, media_type, file.bytes)
 }
 
+/// The panels of one atlas: a file for each sheet.
+fn panel_files(r: &Refinement<'_>, params: &FabricationParams, context: &Context) -> Vec<Artifact> {
+    let id = r.group.set().id;
+    let off = worst_scale(&r.atlas);
+    if off > SAME_SCALE {
+        let text = format!(
+            "the charts of atlas {id} differ in scale: some panels are too large or too small by a factor of {off:.3}"
+        );
+        context.warn(Warning::new("panel_scale", text));
+    }
+    let file = |(page, svg): (usize, String)| {
+        let name = if page == 0 { format!("panels-{id}.svg") } else { format!("panels-{id}.page-{page}.svg") };
+        Artifact::new(name, "fabrication", "image/svg+xml", svg.into_bytes())
+    };
+    panels(&r.atlas, params).into_iter().enumerate().map(file).collect()
+}
+
 /// Textures and pictures of one atlas as files of their own.
 fn extras(r: &Refinement<'_>) -> Vec<Artifact> {
     let set = r.group.set();
@@ -166,7 +196,7 @@ fn archive(artifacts: &[Artifact]) -> Result<Vec<u8>> {
     let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     for artifact in artifacts {
         let method = match artifact.media_type.as_str() {
-            "application/json" | "model/gltf+json" => zip::CompressionMethod::Deflated,
+            "application/json" | "model/gltf+json" | "image/svg+xml" => zip::CompressionMethod::Deflated,
             _ => zip::CompressionMethod::Stored,
         };
         let options = zip::write::SimpleFileOptions::default()

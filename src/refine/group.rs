@@ -3,6 +3,7 @@
 //! The uploaded sheets of the sets lie side by side on one sheet, so that no chart of one meets a chart of another; a texel
 //! stays a texel. Faces, primitives, surface and UV vertices of the sets follow one another, in the order of the members.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use glam::DVec2;
@@ -110,9 +111,9 @@ impl Group {
     }
 
     /// The Atlas of each member, with the faces of `atlas` that became its faces.
-    pub fn part(&self, atlas: &Atlas) -> Result<Vec<(Atlas, Vec<FaceId>)>> {
+    pub fn part<'a>(&self, atlas: &'a Atlas) -> Result<Vec<(Cow<'a, Atlas>, Vec<FaceId>)>> {
         if !self.is_joined() {
-            return Ok(vec![(atlas.clone(), atlas.faces().collect())]);
+            return Ok(vec![(Cow::Borrowed(atlas), atlas.faces().collect())]);
         }
         let mut parts: Vec<(Atlas, Vec<FaceId>)> = Vec::new();
         parts.resize_with(self.members.len(), || {
@@ -155,7 +156,7 @@ impl Group {
                 faces.push(face);
             }
         }
-        Ok(parts)
+        Ok(parts.into_iter().map(|(own, faces)| (Cow::Owned(own), faces)).collect())
     }
 
     /// The group's Atlas again, from those of its members: each with the faces of `after` that its faces are.

@@ -3,6 +3,7 @@
 pub mod box_cutter;
 mod check;
 mod deliver;
+pub mod fabrication;
 mod group;
 pub mod importance;
 mod load;

@@ -7,6 +7,7 @@ use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::box_cutter::params::BoxCutter;
+pub use super::fabrication::{FabricationParams, Seams};
 
 /// All options of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -24,6 +25,8 @@ pub struct Options {
     pub atlas: AtlasOptions,
     /// Which parts of the surface matter more; null is all alike.
     pub importance: Option<ImportanceSource>,
+    /// Panels to cut from sheets, drawn of the refined charts; null draws none.
+    pub fabrication: Option<FabricationParams>,
     /// Container of the output model.
     pub output: Output,
     /// Requirements on the report: a dotted path to its bounds.
@@ -47,6 +50,7 @@ impl Default for Options {
             texture: Texture::default(),
             atlas: AtlasOptions::default(),
             importance: None,
+            fabrication: None,
             output: Output::Glb,
             require: BTreeMap::new(),
             seed: 0,
@@ -58,11 +62,26 @@ impl Default for Options {
 }
 
 impl Options {
+    /// What a preset starts from; what users say goes on top.
+    pub fn preset(name: &str) -> Self {
+        let mut options = Options { recipe: Recipe::Preset(name.to_owned()), ..Options::default() };
+        if name == "fabrication" {
+            // Panels are cut from sheets of material: any turn, never mirrored, every panel once.
+            options.pack = Pack { rotation: Rotation::Any, mirror: false, ..Pack::default() };
+            options.atlas =
+                AtlasOptions { overlaps: OverlapMode::Separate, if_larger: IfLarger::Accept, ..options.atlas };
+            options.fabrication = Some(FabricationParams::default());
+        }
+        options
+    }
+
     /// The stages of the recipe, presets written out.
     pub fn stages(&self) -> Vec<Stage> {
         match &self.recipe {
             Recipe::Stages(stages) => stages.clone(),
-            Recipe::Preset(name) if name == "box_cutter" => vec![Stage::BoxCutter(self.box_cutter.clone())],
+            Recipe::Preset(name) if name == "box_cutter" || name == "fabrication" => {
+                vec![Stage::BoxCutter(self.box_cutter.clone())]
+            }
             Recipe::Preset(_) => vec![Stage::Pack {}],
         }
     }

@@ -1,5 +1,6 @@
 //! Options as users write them: JSON, `--set PATH=VALUE`, a recipe's name. Every problem is found, not only the first.
 
+mod ranges;
 mod words;
 
 use std::collections::BTreeMap;
@@ -9,8 +10,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use super::box_cutter::params::BoxCutter;
-use super::importance::attribute_and_component;
-use super::options::{AtlasOptions, ImportanceSource, Options, Pack, Recipe, Requirement, Size, Stage, Texture};
+use super::options::{Options, Pack, Recipe, Requirement, Stage, Texture};
 use crate::error::{Code, Failure};
 pub use words::nearest;
 use words::{child, kind, name, short};
@@ -64,7 +64,8 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
     let Some(map) = value.as_object() else {
         return Err(vec![Problem::new("", format!("options are a JSON object, not {}", kind(value)))]);
     };
-    let defaults = Options::default();
+    let preset = map.get("recipe").and_then(Value::as_str).unwrap_or("pack");
+    let defaults = Options { recipe: Options::default().recipe, ..Options::preset(preset) };
     let known = keys(&defaults);
     let mut out = defaults;
     for (key, value) in map {
@@ -74,10 +75,14 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
                 let cutter = map.get("box_cutter").and_then(Value::as_object);
                 out.recipe = recipe(value, &pointer, cutter, &mut problems);
             }
-            "pack" => out.pack = section::<Pack>(value, &pointer, &mut problems),
+            "pack" => out.pack = section_over(&out.pack, value, &pointer, &mut problems),
             "box_cutter" => out.box_cutter = section::<BoxCutter>(value, &pointer, &mut problems),
             "texture" => out.texture = section::<Texture>(value, &pointer, &mut problems),
-            "atlas" => out.atlas = section::<AtlasOptions>(value, &pointer, &mut problems),
+            "atlas" => out.atlas = section_over(&out.atlas, value, &pointer, &mut problems),
+            "fabrication" if !value.is_null() => {
+                let base = out.fabrication.clone().unwrap_or_default();
+                out.fabrication = Some(section_over(&base, value, &pointer, &mut problems));
+            }
             "require" => out.require = requirements(value, &pointer, &mut problems),
             _ if known.iter().any(|k| k == key) => {
                 let one = Value::Object(Map::from_iter([(key.clone(), value.clone())]));
@@ -89,7 +94,7 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
             _ => problems.push(unknown(&pointer, key, &known)),
         }
     }
-    problems.extend(ranges(&out));
+    problems.extend(ranges::ranges(&out));
     if problems.is_empty() { Ok(out) } else { Err(problems) }
 }
 
@@ -155,6 +160,16 @@ pub fn set(options: &mut Value, assignment: &str) -> Result<(), Problem> {
 
 /// One object of options, key by key, so that every problem is found.
 fn section<T: Serialize + DeserializeOwned + Default>(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> T {
+    section_over(&T::default(), value, pointer, problems)
+}
+
+/// The same, on top of other values than the type's own.
+fn section_over<T: Serialize + DeserializeOwned + Default>(
+    base: &T,
+    value: &Value,
+    pointer: &str,
+    problems: &mut Vec<Problem>,
+) -> T {
     let Some(map) = value.as_object() else {
         problems.push(Problem::new(pointer, format!("`{}` is an object, not {}", name(pointer), kind(value))));
         return T::default();
@@ -181,7 +196,12 @@ fn section<T: Serialize + DeserializeOwned + Default>(value: &Value, pointer: &s
             }
         }
     }
-    typed(&Value::Object(good), pointer).unwrap_or_default()
+    let mut all = match serde_json::to_value(base) {
+        Ok(Value::Object(all)) => all,
+        _ => Map::new(),
+    };
+    all.extend(good);
+    typed(&Value::Object(all), pointer).unwrap_or_default()
 }
 
 fn requirements(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> BTreeMap<String, Requirement> {
@@ -243,6 +263,10 @@ fn stage(
         return None;
     }
     let before = problems.len();
+    if name == "fabrication" {
+        problems.push(Problem::new(child(pointer, "stage"), "`fabrication` is a recipe, not a stage"));
+        return None;
+    }
     if name == "box_cutter" {
         let mut own = value.as_object()?.clone();
         own.remove("stage");
@@ -276,97 +300,6 @@ fn stage_problem(pointer: &str, name: &str) -> Option<Problem> {
     let names: Vec<&str> = RECIPES.iter().map(|r| r.0).collect();
     let hint = nearest(name, &names).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
     Some(Problem::new(pointer, format!("no recipe or stage is called `{}`{hint}", short(name))))
-}
-
-/// What the types cannot say.
-fn ranges(o: &Options) -> Vec<Problem> {
-    let mut out = Vec::new();
-    let mut within = |pointer: &str, value: f64, low: f64, high: f64| {
-        if !(low..=high).contains(&value) {
-            out.push(Problem::new(pointer, format!("`{}` is {value}, outside {low}..={high}", name(pointer))));
-        }
-    };
-    within("/pack/grid", o.pack.grid.into(), 1.0, 64.0);
-    if let Some(aspect) = o.pack.aspect {
-        within("/pack/aspect", aspect, 0.01, 100.0);
-    }
-    cutter_ranges("/box_cutter", &o.box_cutter, &mut within);
-    if let Recipe::Stages(stages) = &o.recipe {
-        for (i, stage) in stages.iter().enumerate() {
-            if let Stage::BoxCutter(params) = stage {
-                cutter_ranges(&format!("/recipe/{i}"), params, &mut within);
-            }
-        }
-    }
-    within("/texture/multiple_of", o.texture.multiple_of.into(), 1.0, 256.0);
-    within("/texture/max_size", o.texture.max_size.into(), 16.0, 16384.0);
-    within("/texture/jpeg_quality", o.texture.jpeg_quality.into(), 1.0, 100.0);
-    within("/atlas/uv_set", o.atlas.uv_set.into(), 0.0, 7.0);
-    if let Some(limit) = o.time_limit_s.filter(|l| !(*l > 0.0 && *l <= 1e9)) {
-        out.push(Problem::new(
-            "/time_limit_s",
-            format!("`time_limit_s` is {limit}, not more than 0 (and at most 1e9)"),
-        ));
-    }
-    if o.work_budget == Some(0) {
-        out.push(Problem::new("/work_budget", "`work_budget` is 0; it is at least 1, or null"));
-    }
-    if let Size::Fixed(size) = o.texture.size {
-        let max = o.texture.max_size;
-        if size.iter().any(|s| *s > max) {
-            out.push(Problem::new("/texture/size", format!("`size` {size:?} exceeds `max_size` {max}")));
-        }
-        let multiple = o.texture.multiple_of.max(1);
-        if size.iter().any(|s| s % multiple != 0) {
-            out.push(Problem::new(
-                "/texture/size",
-                format!("`size` {size:?} is no multiple of `multiple_of` {multiple}"),
-            ));
-        }
-        if o.texture.power_of_two && !size.iter().all(|s| s.is_power_of_two()) {
-            out.push(Problem::new("/texture/size", format!("`size` {size:?} is no power of two")));
-        }
-    }
-    match &o.importance {
-        Some(ImportanceSource::Attribute(name)) if attribute_and_component(name).is_none() => {
-            let text = format!("`{}` is not an attribute and a component, such as COLOR_0.r", short(name));
-            out.push(Problem::new("/importance/attribute", text));
-        }
-        Some(ImportanceSource::Texture(name)) if name.is_empty() => {
-            out.push(Problem::new("/importance/texture", "`texture` is the name of a file that comes with the model"));
-        }
-        Some(ImportanceSource::Materials(weights)) => {
-            for (name, weight) in weights.iter().filter(|(_, w)| !w.is_finite() || **w < 0.0) {
-                let text = format!("the weight of `{}` is {weight}; it is at least 0", short(name));
-                out.push(Problem::new(child("/importance/materials", name), text));
-            }
-        }
-        _ => {}
-    }
-    if serde_json::to_vec(&o.metadata).map_or(true, |m| m.len() > MAX_METADATA_BYTES) {
-        out.push(Problem::new("/metadata", format!("`metadata` is larger than {MAX_METADATA_BYTES} bytes of JSON")));
-    }
-    out
-}
-
-fn cutter_ranges(at: &str, p: &BoxCutter, within: &mut impl FnMut(&str, f64, f64, f64)) {
-    let mut check = |key: &str, value: Option<f64>, low: f64, high: f64| {
-        if let Some(value) = value {
-            within(&child(at, key), value, low, high);
-        }
-    };
-    check("max_boundary_length", p.max_boundary_length, 1.0, 100.0);
-    check("target_packing_efficiency", p.target_packing_efficiency, 0.0, 1.0);
-    check("max_charts", p.max_charts.map(f64::from), 1.0, 1e6);
-    check("min_extent", Some(p.min_extent), 0.0, 1.0);
-    check("void_boxes", Some(p.void_boxes.into()), 1.0, 64.0);
-    check("void_overlap", Some(p.void_overlap), 0.0, 1.0);
-    check("line_shift", Some(p.line_shift), 0.0, 0.5);
-    check("alpha", Some(p.alpha), 0.0, 4.0);
-    check("min_improvement", Some(p.min_improvement), 0.0, 1.0);
-    check("patience", Some(p.patience.into()), 1.0, 1000.0);
-    check("beam", Some(p.beam.into()), 1.0, 64.0);
-    check("weld_loss", Some(p.weld_loss), 0.0, 1.0);
 }
 
 /// Whether this version has a key.
@@ -435,7 +368,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::refine::options::{Gutter, Rotation};
+    use crate::refine::options::{Gutter, Rotation, Size};
 
     #[test]
     fn empty_options_are_the_defaults_and_every_default_reads_back() {
@@ -492,6 +425,16 @@ mod tests {
     #[test]
     fn what_is_neutral_is_accepted() {
         assert!(options(&json!({"importance": null, "atlas": {"merge": false}, "work_budget": null})).is_ok());
+    }
+
+    #[test]
+    fn fabrication_is_asked_for() {
+        assert_eq!(options(&json!({"fabrication": null})).unwrap().fabrication, None);
+        let asked = options(&json!({"fabrication": {"width_mm": 5}})).unwrap().fabrication;
+        assert_eq!(asked, Some(FabricationParams { width_mm: 5.0, ..FabricationParams::default() }));
+        let wrong = options(&json!({"fabrication": {"fold_angle": 4, "seam": "flaps"}})).unwrap_err();
+        let found: Vec<&str> = wrong.iter().map(|p| p.pointer.as_str()).collect();
+        assert_eq!(found, ["/fabrication/seam", "/fabrication/fold_angle"]);
     }
 
     #[test]

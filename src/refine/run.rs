@@ -5,11 +5,11 @@ use serde_json::Value;
 use super::box_cutter::box_cutter;
 use super::deliver::deliver;
 use super::load::load;
-use super::options::{Options, Stage};
+use super::options::{Gutter, Options, Pack, Stage};
 use super::report::{Refinement, report};
 use super::stage::{Frame, Staged};
 use super::textures::bake_slots;
-use super::{check, pack};
+use super::{check, fabrication, pack};
 use crate::asset::{File, Limits};
 use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
@@ -31,7 +31,7 @@ pub struct Input {
 pub struct Artifact {
     /// File name.
     pub name: String,
-    /// `model`, `side_file`, `report`, `texture`, `picture` or `archive`.
+    /// `model`, `side_file`, `report`, `texture`, `picture`, `fabrication` or `archive`.
     pub role: String,
     /// Media type.
     pub media_type: String,
@@ -125,6 +125,17 @@ pub fn refine(input: &Input, options: &Options, context: &Context) -> Result<Out
 fn run_stage(stage: &Stage, refinement: &mut Refinement<'_>, options: &Options, context: &Context) -> Result<()> {
     let group = refinement.group;
     let frame = Frame { joined: group.is_joined(), ..Frame::new(group.set()) };
+    // Allowances and flaps lie between the panels.
+    let roomy = options.fabrication.as_ref().map(|params| {
+        let wanted = fabrication::gutter_texels(&refinement.atlas, params).div_ceil(frame.unit.max(1));
+        let gutter = Gutter::Texels(wanted.max(if options.pack.gutter == Gutter::Auto {
+            0
+        } else {
+            frame.gutter(&options.pack)
+        }));
+        Options { pack: Pack { gutter, ..options.pack.clone() }, ..options.clone() }
+    });
+    let options = roomy.as_ref().unwrap_or(options);
     let staged = match stage {
         Stage::Pack {} => pack::pack(&refinement.atlas, &frame, options, context)?,
         Stage::BoxCutter(params) => {

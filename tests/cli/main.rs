@@ -40,6 +40,38 @@ fn a_model_is_refined_from_file_to_file() {
 }
 
 #[test]
+fn several_models_come_out_as_several() {
+    let folder = with_sample();
+    let at = |name: &str| folder.path().join(name);
+    let (code, _, errors) = intarsia(folder.path(), &["sample", "two_materials", "-o", "other.glb"]);
+    assert_eq!(code, 0, "{errors}");
+    let panels = "fabrication.seams=allowance";
+    let all = ["refine", "in.glb", "other.glb", "-o", "out.gltf", "--report", "report.json", "--set", panels];
+    let (code, _, errors) = intarsia(folder.path(), &all);
+    assert_eq!(code, 0, "{errors}");
+    let texture = fs::read(at("atlas-0.page-0.base_color.png")).unwrap();
+    assert!(texture.starts_with(b"\x89PNG"));
+    for model in ["out-0.gltf", "out-1.gltf"] {
+        let json: Value = serde_json::from_slice(&fs::read(at(model)).unwrap()).unwrap();
+        let buffer = json["buffers"][0]["uri"].as_str().unwrap();
+        assert!(at(buffer).exists(), "{buffer}");
+        let uris: Vec<&str> = json["images"].as_array().unwrap().iter().filter_map(|i| i["uri"].as_str()).collect();
+        assert!(uris.contains(&"atlas-0.page-0.base_color.png"), "{uris:?}");
+        assert!(uris.iter().all(|u| at(u).exists()));
+        let (code, _, errors) = intarsia(folder.path(), &["inspect", model]);
+        assert_eq!(code, 0, "{errors}");
+    }
+    assert!(fs::read_to_string(at("out.panels-0.svg")).unwrap().contains("class=\"allowance\""));
+    // The picture is found by its path; every model is measured as it is.
+    let picture = "importance.texture=atlas-0.page-0.base_color.png";
+    let (code, out, errors) = intarsia(folder.path(), &["inspect", "in.glb", "other.glb", "--json", "--set", picture]);
+    assert_eq!(code, 0, "{errors}");
+    let report: Value = serde_json::from_str(&out).unwrap();
+    let atlases = report["atlases"].as_array().unwrap();
+    assert!(atlases.len() > 1 && atlases.iter().all(|a| a["importance"].is_array()), "{out}");
+}
+
+#[test]
 fn exit_codes_tell_whose_fault_it_is() {
     let folder = with_sample();
     fs::write(folder.path().join("broken.glb"), b"glTF").unwrap();

@@ -67,6 +67,33 @@ fn a_model_goes_in_and_comes_out() {
 }
 
 #[test]
+fn several_models_share_one_atlas() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let other = intarsia::asset::sample::sample("two_materials").unwrap();
+    let white = intarsia::texture::Image::neutral(intarsia::texture::Role::BaseColor, 1, 8);
+    let picture = intarsia::texture::encode(&white, intarsia::texture::Format::Png, 90).unwrap();
+    let options = json!({"importance": {"texture": "maps/weight.png"}, "fabrication": {"seams": "flaps"}});
+    let form = Form::sample().file("model", "other.glb", &other).file("files", "maps/weight.png", &picture);
+    let job = server.wait(&server.accepted(&form.text("options", &options.to_string())));
+    assert_eq!(job["state"], "succeeded", "{job:#}");
+    let fetch = |name: &str| bytes(&mut server.get(artifact(&job, name)["href"].as_str().unwrap(), &[]));
+    let texture = fetch("atlas-0.page-0.base_color.png");
+    for model in ["model-0.glb", "model-1.glb"] {
+        let glb = fetch(model);
+        assert!(glb.windows(texture.len()).any(|w| w == texture), "{model} holds the shared texture");
+    }
+    let report: Value = serde_json::from_slice(&fetch("report.json")).unwrap();
+    assert_eq!(report["atlases"].as_array().unwrap().len(), 1);
+    assert_eq!(report["atlases"][0]["models"], json!([0, 1]));
+    assert_eq!(report["atlases"][0]["importance"], json!([100.0, 100.0]));
+    let names: Vec<&Value> = report["input"]["models"].as_array().unwrap().iter().map(|m| &m["name"]).collect();
+    assert_eq!(names, ["sample", "other"]);
+    assert_eq!(artifact(&job, "panels-0.svg")["media_type"], "image/svg+xml");
+    assert!(fetch("panels-0.svg").starts_with(b"<svg "));
+}
+
+#[test]
 fn a_job_that_has_not_changed_is_not_sent_again() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);

@@ -73,6 +73,9 @@ pub(super) fn emit(
         }
         fresh.insert(name.clone(), new);
     }
+    if let Some(tangents) = emitter.made_tangents(attributes, pointer)? {
+        fresh.insert("TANGENT".to_owned(), tangents);
+    }
     fresh.insert(written, emitter.uvs(&old_uvs));
     let targets = match value.get("targets") {
         Some(targets) if all || emitter.frame.is_some() => Some(emitter.targets(targets, pointer, all)?),
@@ -187,6 +190,24 @@ impl Emitter<'_> {
             *tangent = [x, y, z, if mirrored { -w } else { w }];
         }
         Ok(RawAccessor::from_floats(&tangents))
+    }
+
+    /// TANGENT where it was not uploaded and charts were cut or joined: that of the uploaded layout, turned.
+    fn made_tangents(&mut self, attributes: &Map<String, Value>, pointer: &str) -> Result<Option<Value>> {
+        let Some(normal) = attributes.get("NORMAL").filter(|_| self.vertices.has_tangents()) else { return Ok(None) };
+        let accessor = self.checked(normal, &format!("{pointer}/attributes/NORMAL"))?;
+        let mut normals = read_vec::<3>(self.doc, accessor)?;
+        extend(&mut normals, &self.vertices.appended, unit);
+        let made = self.vertices.tangents.iter().zip(&self.vertices.turns).zip(&normals);
+        let tangents: Vec<[f32; 4]> = made
+            .map(|((tangent, turn), normal)| {
+                let [x, y, z, w] = tangent.unwrap_or([1.0, 0.0, 0.0, 1.0]);
+                let turned = turn.apply(wide([x, y, z]), f64::from(w), wide(*normal));
+                let [x, y, z] = unit(turned.to_array());
+                [x, y, z, if turn.mirrored { -w } else { w }]
+            })
+            .collect();
+        Ok(Some(self.append(&RawAccessor::from_floats(&tangents), false)))
     }
 
     /// A tangent, or a morph target's step of one, turned with the faces of vertex `i`.

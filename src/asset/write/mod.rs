@@ -6,6 +6,7 @@ mod attributes;
 mod blend;
 mod read_back;
 mod skin;
+mod tangents;
 #[cfg(test)]
 mod tests;
 mod textures;
@@ -70,11 +71,14 @@ pub fn write(doc: &Document, sets: &[Refined<'_>], context: &Context) -> Result<
     let mut textures = Textures::new(&scan, sets, array(&doc.json, "images").len());
     textures.place_images(&mut out)?;
     let faces: Vec<Vec<Vec<FaceId>>> = sets.iter().map(|s| faces_of(s.set, s.atlas)).collect::<Result<_>>()?;
+    let lost: Vec<Vec<bool>> =
+        sets.iter().zip(&faces).map(|(s, faces)| tangents::lost(doc, s, faces)).collect::<Result<_>>()?;
     let mut points: Vec<Points<'_>> = sets.iter().map(|s| Points::new(s.set, s.atlas)).collect();
     let mut written: BTreeMap<(usize, usize), Written> = BTreeMap::new();
     for members in pools(doc, sets)? {
         context.check()?;
-        let (vertices, attributes, layout) = pool(doc, &mut out, sets, &members, &faces, &mut points)?;
+        let make_tangents = members.iter().any(|&(s, p)| lost[s][p]);
+        let (vertices, attributes, layout) = pool(doc, &mut out, sets, &members, &faces, &mut points, make_tangents)?;
         let mut start = 0;
         for &(s, p) in &members {
             let own = faces[s][p].len();
@@ -176,6 +180,7 @@ fn pool(
     members: &[(usize, usize)],
     faces: &[Vec<Vec<FaceId>>],
     points: &mut [Points<'_>],
+    make_tangents: bool,
 ) -> Result<(Vertices, Attributes, [usize; 2])> {
     let first = members.first().map(|&(s, p)| &sets[s].set.primitives[p]);
     let first = first.ok_or_else(|| Failure::internal("a pool of no primitives"))?;
@@ -183,16 +188,22 @@ fn pool(
     let pointer = primitive_pointer(first.mesh, first.primitive);
     let layout = [first.uv_set, if has_readers(value) { last_uv_set(value) + 1 } else { first.uv_set }];
     let attributes = value.get("attributes");
-    let turning = ["NORMAL", "TANGENT"].iter().all(|n| attributes.is_some_and(|a| a.get(n).is_some()));
+    let turning = make_tangents || ["NORMAL", "TANGENT"].iter().all(|n| attributes.is_some_and(|a| a.get(n).is_some()));
     let mut pool = Pool::new(vertex_count(doc, &pointer)?, turning);
     for &(s, p) in members {
-        let atlas = sets[s].atlas;
+        let (atlas, primitive) = (sets[s].atlas, &sets[s].set.primitives[p]);
+        let made = if make_tangents { tangents::generate(doc, primitive)? } else { None };
         for &face in &faces[s][p] {
             let [width, height] = atlas.sheets[usize::from(atlas.page[face.index()])];
             let uvs =
                 atlas.uv_triangle(face).map(|uv| [(uv.x / f64::from(width)) as f32, (uv.y / f64::from(height)) as f32]);
             let turn = if turning { points[s].turn(face) } else { None };
-            pool.add(points[s].of(face)?, uvs, turn);
+            let own = points[s].of(face)?;
+            let tangents = match &made {
+                Some(made) => Some(tangents::at(&points[s], primitive, made, face, own)?),
+                None => None,
+            };
+            pool.add(own, uvs, turn, tangents);
         }
     }
     let vertices = pool.finish()?;

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 
 use glam::{DVec2, DVec3};
 
+use super::tangents::Tangent;
 use super::turn::Turn;
 use crate::asset::TextureSet;
 use crate::atlas::{Atlas, FaceId, VertexId};
@@ -38,6 +39,9 @@ impl Point {
 
 /// Barycentric coordinates closer to 0 or 1 than this are 0 or 1.
 const ON_EDGE: f64 = 1e-9;
+
+/// Components of tangents that differ by less are equal.
+const SAME_TANGENT: f32 = 1e-4;
 
 /// Names the corners of a refined Atlas by points of its uploaded primitives.
 pub(super) struct Points<'a> {
@@ -130,7 +134,24 @@ pub(super) struct Pool {
 struct Site {
     point: Point,
     uv: [f32; 2],
-    turns: Vec<(Turn, Option<u32>)>,
+    turns: Vec<Turned>,
+}
+
+/// Faces at a site that turn alike and have one tangent.
+struct Turned {
+    turn: Turn,
+    /// On the uploaded layout, where tangents are made.
+    tangent: Option<Tangent>,
+    /// Number of the vertex, once it has one.
+    vertex: Option<u32>,
+}
+
+/// Whether two tangents are the same but for noise.
+fn alike(a: Option<Tangent>, b: Option<Tangent>) -> bool {
+    match (a, b) {
+        (Some(a), Some(b)) => a[3] == b[3] && (0..3).all(|k| (a[k] - b[k]).abs() < SAME_TANGENT),
+        (a, b) => a.is_none() && b.is_none(),
+    }
 }
 
 /// What a [`Pool`] comes to.
@@ -141,6 +162,8 @@ pub(super) struct Vertices {
     pub(super) uvs: Vec<Option<[f32; 2]>>,
     /// Turn by vertex.
     pub(super) turns: Vec<Turn>,
+    /// Tangent on the uploaded layout by vertex, where tangents are made.
+    pub(super) tangents: Vec<Option<Tangent>>,
     /// The points of the vertices appended to the uploaded ones.
     pub(super) appended: Vec<Point>,
 }
@@ -151,8 +174,14 @@ impl Pool {
         Pool { count, turning, sites: Vec::new(), by_key: HashMap::new(), faces: Vec::new() }
     }
 
-    /// Adds a face.
-    pub(super) fn add(&mut self, points: [Point; 3], uvs: [[f32; 2]; 3], turn: Option<Turn>) {
+    /// Adds a face. `tangents` are those on the uploaded layout, where tangents are made.
+    pub(super) fn add(
+        &mut self,
+        points: [Point; 3],
+        uvs: [[f32; 2]; 3],
+        turn: Option<Turn>,
+        tangents: Option<[Tangent; 3]>,
+    ) {
         let turn = if self.turning { turn } else { Some(Turn::NONE) };
         let mut corners = [(0, None); 3];
         for (k, corner) in corners.iter_mut().enumerate() {
@@ -164,13 +193,15 @@ impl Pool {
                 sites.len() as u32 - 1
             });
             let turns = &mut sites[site as usize].turns;
-            let group = turn.map(|turn| match turns.iter_mut().position(|(t, _)| t.agrees(&turn)) {
+            let tangent = tangents.map(|t| t[k]);
+            let same = |t: &Turned, turn: &Turn| t.turn.agrees(turn) && alike(t.tangent, tangent);
+            let group = turn.map(|turn| match turns.iter_mut().position(|t| same(t, &turn)) {
                 Some(i) => {
-                    turns[i].0.z += turn.z;
+                    turns[i].turn.z += turn.z;
                     i as u32
                 }
                 None => {
-                    turns.push((turn, None));
+                    turns.push(Turned { turn, tangent, vertex: None });
                     turns.len() as u32 - 1
                 }
             });
@@ -185,6 +216,7 @@ impl Pool {
             triangles: Vec::with_capacity(self.faces.len()),
             uvs: vec![None; self.count],
             turns: vec![Turn::NONE; self.count],
+            tangents: vec![None; self.count],
             appended: Vec::new(),
         };
         for corners in &self.faces {
@@ -193,13 +225,15 @@ impl Pool {
                 let site = &mut self.sites[site as usize];
                 if site.turns.is_empty() {
                     // Only faces without area lie here.
-                    site.turns.push((Turn::NONE, None));
+                    site.turns.push(Turned { turn: Turn::NONE, tangent: None, vertex: None });
                 }
-                let (turn, vertex) = &mut site.turns[group.unwrap_or(0) as usize];
-                if vertex.is_none() {
-                    *vertex = Some(out.claim(site.point, site.uv, *turn)?);
-                }
-                *index = vertex.unwrap_or_default();
+                let turned = &mut site.turns[group.unwrap_or(0) as usize];
+                let vertex = match turned.vertex {
+                    Some(vertex) => vertex,
+                    None => out.claim(site.point, site.uv, turned.turn, turned.tangent)?,
+                };
+                turned.vertex = Some(vertex);
+                *index = vertex;
             }
             out.triangles.push(triangle);
         }
@@ -208,18 +242,20 @@ impl Pool {
 }
 
 impl Vertices {
-    fn claim(&mut self, point: Point, uv: [f32; 2], turn: Turn) -> Result<u32> {
+    fn claim(&mut self, point: Point, uv: [f32; 2], turn: Turn, tangent: Option<Tangent>) -> Result<u32> {
         if let Point::Vertex(v) = point {
             let place = self.uvs.get_mut(v as usize);
             let place = place.ok_or_else(|| Failure::internal("a corner names a vertex that does not exist"))?;
             if place.is_none() {
                 *place = Some(uv);
                 self.turns[v as usize] = turn;
+                self.tangents[v as usize] = tangent;
                 return Ok(v);
             }
         }
         self.uvs.push(Some(uv));
         self.turns.push(turn);
+        self.tangents.push(tangent);
         self.appended.push(point);
         Ok(self.uvs.len() as u32 - 1)
     }
@@ -227,6 +263,11 @@ impl Vertices {
     /// Whether any vertex was turned.
     pub(super) fn any_turn(&self) -> bool {
         self.turns.iter().any(|t| !t.is_none())
+    }
+
+    /// Whether tangents are made.
+    pub(super) fn has_tangents(&self) -> bool {
+        self.tangents.iter().any(Option::is_some)
     }
 
     /// Whether any vertex lies between uploaded ones.

@@ -146,6 +146,7 @@ fn without_overlaps(
     let touchable = |charts: &Charts, chart: ChartId| charts.faces[chart.index()].iter().all(|f| alone[f.index()]);
     let before = atlas.clone();
     let mut next = atlas.clone();
+    let mut tests = 0;
     if params.remove_overlaps {
         context.step(0.02, "removing overlaps")?;
         let edge_weight = weights.map(|w| {
@@ -158,6 +159,7 @@ fn without_overlaps(
         let removed = overlap::remove_overlaps(&next, &|c| touchable(&charts, c), weight, context)?;
         figures.insert("overlapping_charts".to_owned(), json!(removed.charts_touched));
         figures.insert("overlap_cuts".to_owned(), json!(removed.cut_length / border(atlas).max(1e-300)));
+        tests += removed.work;
         next = removed.atlas;
     }
     // A weld turns a chart by any angle: texels that shall not be resampled stay where they are.
@@ -167,8 +169,12 @@ fn without_overlaps(
         let efficiency = |a: &Atlas| packed_efficiency(a, frame, options);
         let welded = weld::weld(&next, &|c| touchable(&charts, c), params.weld_loss, &efficiency, context)?;
         figures.insert("welds".to_owned(), json!(welded.welds));
+        figures.insert("welds_undone".to_owned(), json!(welded.undone));
+        figures.insert("weld_saved".to_owned(), json!(welded.boundary_saved / border(atlas).max(1e-300)));
+        tests += welded.work;
         next = welded.atlas;
     }
+    figures.insert("overlap_work".to_owned(), json!(tests));
     if next == before {
         return Ok(next);
     }

@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use glam::{DVec2, DVec3};
 use serde_json::{Value, json};
 
-use crate::asset::{self, Document, File, Limits, TextureSet, sample};
+use crate::asset::{self, Document, File, Limits, TextureSet, fixture, sample};
 use crate::atlas::{Charts, FaceId, Topology, overlapping_charts};
 use crate::context::Context;
 use crate::refine::options::{AtlasOptions, Options};
 use crate::refine::{Input, Outcome, parse, refine};
-use crate::texture::{Image, Role, Samples, decode};
+use crate::texture::{Format, Image, Role, Samples, decode};
 
 fn input(names: &[&str]) -> Input {
     let file = |name: &&str| File { path: format!("{name}.glb"), bytes: sample::sample(name).unwrap() };
@@ -40,8 +40,11 @@ fn sets(doc: &Document) -> Vec<TextureSet> {
     asset::read(doc, &AtlasOptions::default(), &Context::silent()).unwrap()
 }
 
-/// Positions and base colours at points of every triangle, by mesh, primitive and triangle.
-fn colours(doc: &Document) -> BTreeMap<(usize, usize, usize), Vec<(DVec3, [f64; 3])>> {
+/// Positions and base colours at points of a triangle.
+type Looks = Vec<(DVec3, [f64; 3])>;
+
+/// The looks of every triangle, by mesh, primitive and number.
+fn colours(doc: &Document) -> BTreeMap<(usize, usize, usize), Looks> {
     let mut out = BTreeMap::new();
     for set in sets(doc) {
         for (p, primitive) in set.primitives.iter().enumerate() {
@@ -103,7 +106,8 @@ fn two_models_share_one_atlas() {
     assert_eq!(report["atlases"][0]["after"]["overlap_fraction"], 0.0);
     let docs: Vec<Document> =
         ["model-0.glb", "model-1.glb"].map(|n| document(&[artifact(&outcome, n)])).into_iter().collect();
-    for (name, doc) in names.iter().zip(&docs) {
+    for (n, (name, doc)) in names.iter().zip(&docs).enumerate() {
+        gltf::Gltf::from_slice(&artifact(&outcome, &format!("model-{n}.glb")).bytes).unwrap();
         let before = document(&[File { path: "a.glb".into(), bytes: sample::sample(name).unwrap() }]);
         looks_alike(&before, doc, 1.01);
     }
@@ -114,8 +118,8 @@ fn two_models_share_one_atlas() {
         slots.map(|s| doc.images[s.image].clone().unwrap()).collect()
     };
     let shared = artifact(&outcome, "atlas-0.page-0.base_color.png").bytes;
-    assert_eq!(base(&docs[0]), [shared.clone()]);
-    assert_eq!(base(&docs[1]), [shared.clone()]);
+    assert_eq!(base(&docs[0]), std::slice::from_ref(&shared));
+    assert_eq!(base(&docs[1]), std::slice::from_ref(&shared));
     assert_eq!(docs[1].images.iter().filter(|i| i.as_ref() == Some(&shared)).count(), 1);
     no_chart_meets_another_models(&docs);
     assert!(report["textures"][0]["sources"].as_array().unwrap().len() >= 2);
@@ -139,9 +143,9 @@ fn no_chart_meets_another_models(docs: &[Document]) {
 }
 
 #[test]
-fn sets_of_different_density_and_slots_are_resampled_by_name() {
-    // Without mipmaps in the way, any rotation: every texel is resampled.
-    let (outcome, warnings) = run(&["textured", "skinned", "tiled"], json!({"pack": {"rotation": "any"}}));
+fn sets_of_different_slots_are_resampled_closely() {
+    // Any rotation: every texel is resampled.
+    let (outcome, _) = run(&["textured", "skinned", "tiled"], json!({"pack": {"rotation": "any"}}));
     for (n, name) in ["textured", "skinned", "tiled"].iter().enumerate() {
         let before = document(&[File { path: "a.glb".into(), bytes: sample::sample(name).unwrap() }]);
         let after = document(&[artifact(&outcome, &format!("model-{n}.glb"))]);
@@ -151,7 +155,37 @@ fn sets_of_different_density_and_slots_are_resampled_by_name() {
         let psnr = texture["psnr_db"].as_f64();
         assert!(psnr.is_none_or(|p| p > 35.0), "{texture:#}");
     }
-    println!("{warnings:#?}");
+}
+
+#[test]
+fn the_finest_texels_and_the_widest_format_count() {
+    let model = |normal: [u32; 2], size: [u32; 2]| {
+        let mut doc = fixture::document(&[size, normal]);
+        doc.json["materials"][0]["normalTexture"] = json!({ "index": 1 });
+        let primitive = fixture::bowtie(&mut doc);
+        fixture::mesh(&mut doc, vec![primitive]);
+        sets(&doc).remove(0)
+    };
+    let (mut a, mut b) = (model([64, 64], [64, 64]), model([48, 24], [96, 48]));
+    a.slots[0].header.channels = 4;
+    b.slots[1].header.depth = 16;
+    b.slots[0].header.format = Format::Jpeg;
+    let group = super::Group::new(5, vec![(0, a), (1, b)]);
+    let set = group.set();
+    assert_eq!((set.id, set.slots.len(), set.primitives[1].first_face), (5, 2, 2));
+    // One above the other, tall first: 64 and 96 wide.
+    assert_eq!(group.members.iter().map(|m| m.place).collect::<Vec<_>>(), [DVec2::ZERO, DVec2::new(0.0, 64.0)]);
+    assert_eq!(set.reference, [96, 112]);
+    let header = |slot: usize| {
+        let h = set.slots[slot].header;
+        ([h.width, h.height], h.channels, h.depth, h.format)
+    };
+    assert_eq!(header(0), ([96, 112], 4, 8, Format::Png));
+    assert_eq!(header(1), ([96, 112], 3, 16, Format::Png));
+    let warnings = group.warnings();
+    assert_eq!(warnings.len(), 1);
+    assert_eq!((warnings[0].0, warnings[0].1.code.as_str()), (1, "slot_refined"));
+    assert_eq!(warnings[0].1.pointer.as_deref(), Some("/images/1"));
 }
 
 #[test]
@@ -196,6 +230,7 @@ fn a_joint_atlas_is_parted_and_joined_without_loss() {
             assert_eq!(part.uv_triangle(i), own);
         }
     }
+    let parts = parts.into_iter().map(|(own, faces)| (own.into_owned(), faces)).collect();
     let again = group.rejoin(joint, parts);
     for face in joint.faces() {
         assert_eq!((again.triangle(face), again.uv_triangle(face)), (joint.triangle(face), joint.uv_triangle(face)));

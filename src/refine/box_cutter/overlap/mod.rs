@@ -116,7 +116,7 @@ pub fn remove_overlaps_with(
         let scale = Scale::new(&removed.atlas, &topology, weight);
         let labels = if round + 1 == ROUNDS {
             let faces = |c: &(ChartId, Option<usize>)| charts.faces[c.0.index()].len() as u32;
-            let single = |n: u32| solve::Solved { label: (0..n).collect(), cost: 0, work: n.into(), cut_short: true };
+            let single = |n: u32| solve::Solved { label: (0..n).collect(), work: n.into(), cut_short: true };
             found.iter().map(|c| single(faces(c))).collect()
         } else {
             solve_all(&scale, &charts, &found, (if round == 0 { bias } else { Bias::Off }, method), context)?
@@ -252,7 +252,7 @@ fn solve_chart(
         let graph = graph::build(scale, faces, &[]);
         let mut work = 0;
         let label = grow::grow(scale.atlas, &graph, &mut work, context)?;
-        return Ok(solve::Solved { cost: graph.cost(&label), label, work, cut_short: true });
+        return Ok(solve::Solved { label, work, cut_short: true });
     }
     let list = graph::list_pairs(scale.atlas, faces, context)?;
     let mut graph = graph::build(scale, faces, &list);

@@ -17,8 +17,6 @@ const ROUNDS: usize = 16;
 pub(crate) struct Solved {
     /// Cluster by node: clusters are connected, and none overlaps itself.
     pub label: Vec<u32>,
-    /// Weight of the cuts less the bias gained.
-    pub cost: i64,
     /// Edges and overlaps looked at.
     pub work: u64,
     /// Whether the work limit left a border of this solution unvisited. Starts not tried and neighbourhoods left unsplit do not
@@ -94,8 +92,7 @@ impl<'a> Search<'a> {
     }
 
     fn solved(self, partition: Partition, cut_short: bool) -> Solved {
-        let cost = self.graph.cost(&partition.label);
-        Solved { cost, work: self.work, cut_short, label: partition.label }
+        Solved { work: self.work, cut_short, label: partition.label }
     }
 
     /// Improves border after border until nothing gains. `exact` adds minimum cuts to the chains of Kernighan and Lin.
