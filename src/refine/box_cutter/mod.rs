@@ -16,6 +16,8 @@ mod panel;
 pub mod params;
 mod search;
 mod start;
+#[cfg(test)]
+mod tests;
 mod void;
 mod weld;
 
@@ -38,8 +40,10 @@ use crate::packing::Pitch;
 
 /// Cells along the side of a square that would hold everything, by number of panels.
 const CELLS: [(usize, f64); 3] = [(60, 160.0), (200, 208.0), (usize::MAX, 288.0)];
-/// Words of occupancy that the search may look at.
-const WORK: u64 = 4_000_000_000;
+/// Words of occupancy that the search may look at, for each part by which the boundary may grow; and at most.
+const WORK: f64 = 1e9;
+/// See [`WORK`].
+const MOST_WORK: f64 = 1.2e9;
 /// States whose cuts are made and packed at the fine resolution.
 const FINALS: usize = 3;
 /// Share of a thorough packing's work that each of them gets.
@@ -91,7 +95,10 @@ pub(crate) fn box_cutter(
         length: params.max_boundary_length.map_or(f64::INFINITY, |b| b * length),
         target: params.target_packing_efficiency.unwrap_or(f64::INFINITY),
         charts: params.max_charts.map_or(usize::MAX, |n| n as usize),
-        work: options.work_budget.unwrap_or(WORK),
+        work: options.work_budget.unwrap_or_else(|| {
+            let growth = params.max_boundary_length.map_or(f64::INFINITY, |b| b - 1.0);
+            (WORK * growth.max(0.05)).min(MOST_WORK) as u64
+        }),
         alpha: params.alpha,
         gain: params.min_improvement,
         patience: params.patience,

@@ -214,23 +214,28 @@ impl State {
     }
 }
 
-/// Searches from `start`. With a beam of one and no further rounds this is the paper's loop: of all candidates, each executed and
-/// repacked, the one with the highest score is kept, until a limit is met. A wider beam carries on the best few states, with
-/// equal sets of cuts once. Further rounds begin where some cuts of a good state are taken back, until the work is spent.
+/// Searches from `start`. The first round is the paper's loop: of all candidates, each executed and repacked, the one with the
+/// highest score is kept, until a limit is met. A beam then carries on the best few states, with equal sets of cuts once. Further rounds begin where some cuts of a good state are taken back, until the work is spent.
 ///
 /// # Errors
 /// `canceled`.
 pub(crate) fn search(start: State, ground: &Ground<'_>, limits: &Limits, context: &Context) -> Result<Found> {
     let mut found = Found { states: vec![start.clone()], stopped_by: "no_improvement", work: 0, tried: 0 };
     let mut random = Random::new(context.seed);
-    let mut stopped_by = run(&start, limits.beam, ground, limits, &mut random, &mut found, context)?;
+    let mut stopped_by = run(&start, 1, ground, limits, &mut random, &mut found, context)?;
+    if limits.beam > 1 && over(&found, limits, context).is_none() {
+        // The wide beam leaves work for what follows: it need not see the end.
+        let half = Limits { work: found.work + (limits.work - found.work) / 2, ..limits.clone() };
+        stopped_by = run(&start, limits.beam, ground, &half, &mut random, &mut found, context)?;
+    }
     let mut idle = 0;
-    while limits.rounds && ground.mesh.is_none() && !found.states[0].cuts.is_empty() && idle < IDLE_ROUNDS {
+    while limits.rounds && ground.mesh.is_none() && idle < IDLE_ROUNDS {
         if let Some(limit) = over(&found, limits, context) {
             stopped_by = limit;
             break;
         }
-        let from = found.states[random.below(found.states.len().min(3))].clone();
+        let cut: Vec<&State> = found.states.iter().filter(|s| !s.cuts.is_empty()).take(3).collect();
+        let Some(from) = cut.get(random.below(cut.len())).map(|s| (*s).clone()) else { break };
         let Some(next) = from.without_some(&start, ground, &mut random, &mut found.work) else {
             idle += 1;
             continue;
@@ -272,7 +277,7 @@ fn run(
         if let Some(limit) = over(found, limits, context) {
             return Ok(limit);
         }
-        context.step(0.1 + 0.6 * (found.work as f64 / limits.work as f64).min(1.0), "cutting")?;
+        context.step(0.1 + 0.6 * (found.work as f64 / limits.work.max(1) as f64).min(1.0), "cutting")?;
         let next = match step(&front, ground, limits, random, found, context)? {
             Ok(next) => next,
             Err(limit) => return Ok(limit),
