@@ -72,7 +72,7 @@ pub(crate) fn box_cutter(
     let together = clusters(&clean, &charts, options.atlas.overlaps);
     let along_edges = params.cuts == Cuts::Edges || params.cuts == Cuts::Auto && frame.animated;
     let panels = start::panels(&clean, &topology, &charts, &together, along_edges, options.pack.rotation);
-    let held: f64 = panels.iter().filter(|p| !p.cuttable()).map(|p| p.area).sum();
+    let held: f64 = panels.iter().filter(|p| !p.cuttable()).map(|p| p.area).fold(0.0, |a, b| a + b);
     let total: f64 = panels.iter().map(|p| p.area).sum();
     let length: f64 = panels.iter().map(|p| p.length).sum();
     let sheet = sheet(&panels, frame, options);
@@ -90,6 +90,7 @@ pub(crate) fn box_cutter(
         field: weights.filter(|_| !along_edges).map(|_| Field::new(&clean, &charts, &corner_weights(&clean, weights))),
         mesh: along_edges.then(|| start::mesh(&clean, &topology, weights)),
         unit,
+        weighted: weights.is_some(),
     };
     let limits = Limits {
         length: params.max_boundary_length.map_or(f64::INFINITY, |b| b * length),
@@ -107,9 +108,9 @@ pub(crate) fn box_cutter(
     };
     let start = State { panels, arrangement, length, weighted: length, cuts: Vec::new() };
     let found = search(start, &ground, &limits, context)?;
+    let ready = Clean { atlas: &clean, topology: &topology, charts: &charts };
 
-    let (state, laid, work) =
-        finish(&clean, &topology, &charts, &found, &ground.sheet.raster, unit, frame, options, context)?;
+    let (state, laid, work) = finish(&ready, &found, &ground, &limits, frame, options, context)?;
     figures.extend([
         ("work".to_owned(), json!(found.work + work)),
         ("candidates".to_owned(), json!(found.tried)),
@@ -133,6 +134,13 @@ pub(crate) fn box_cutter(
         return Ok(staged.undone(atlas, frame, context));
     }
     Ok(staged)
+}
+
+/// An Atlas that is free of overlaps, with what was derived from it.
+struct Clean<'a> {
+    atlas: &'a Atlas,
+    topology: &'a Topology,
+    charts: &'a Charts,
 }
 
 /// Overlap removal and welding (section 4). What it changed lies apart from the rest afterwards.
@@ -203,14 +211,11 @@ fn without_overlaps(
 }
 
 /// Makes the cuts of the best few states, packs each, and gives the best packing.
-#[expect(clippy::too_many_arguments, reason = "the end of one routine, told apart for its length")]
 fn finish(
-    clean: &Atlas,
-    topology: &Topology,
-    charts: &Charts,
+    clean: &Clean<'_>,
     found: &Found,
-    raster: &Raster,
-    unit: f64,
+    ground: &Ground<'_>,
+    limits: &Limits,
     frame: &Frame,
     options: &Options,
     context: &Context,
@@ -223,13 +228,15 @@ fn finish(
     let mut work = 0;
     for (n, state) in finals.iter().enumerate() {
         context.step(0.7 + 0.3 * n as f64 / finals.len() as f64, "packing the best")?;
-        let (cut, origin) = start::apply(clean, topology, charts, &state.cuts, unit);
-        let layout = start::layout(&cut, &origin, options.atlas.overlaps, state, raster);
-        let (laid, own) = lay_out(&cut, frame, &own, layout.as_slice(), EFFORT, context)?;
+        let (cut, origin) = start::apply(clean.atlas, clean.topology, clean.charts, &state.cuts, ground.unit);
+        let layout = start::layout(&cut, &origin, options.atlas.overlaps, state, &ground.sheet.raster);
+        let effort = if options.pack.search == PackSearch::Thorough { 1.0 / FINALS as f64 } else { EFFORT };
+        let (laid, own) = lay_out(&cut, frame, &own, layout.as_slice(), effort, context)?;
         work += own;
-        let efficiency = efficiency(&laid);
-        if best.as_ref().is_none_or(|(e, ..)| efficiency > *e) {
-            best = Some((efficiency, state, laid));
+        // What packing made of it, weighed as in the search.
+        let worth = state.worth(ground, limits) / state.arrangement.efficiency.max(1e-300) * efficiency(&laid);
+        if best.as_ref().is_none_or(|(most, ..)| worth > *most) {
+            best = Some((worth, state, laid));
         }
     }
     let Some((_, state, laid)) = best else { return Err(Failure::internal("a search without a state")) };

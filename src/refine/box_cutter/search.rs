@@ -59,6 +59,8 @@ pub(crate) struct Ground<'a> {
     pub mesh: Option<Mesh<'a>>,
     /// Longest side of the input's bounding box, in texels: the unit of boundary length.
     pub unit: f64,
+    /// Whether there is any importance.
+    pub weighted: bool,
 }
 
 /// When a search ends, and what it prefers.
@@ -208,6 +210,12 @@ impl State {
         self.panels = panels;
     }
 
+    /// What the search is after: packing efficiency; where parts of the surface matter more, the score, in which cuts through them
+    /// weigh.
+    pub fn worth(&self, ground: &Ground<'_>, limits: &Limits) -> f64 {
+        if ground.weighted { self.score(ground.unit, limits.alpha) } else { self.arrangement.efficiency }
+    }
+
     /// The score s = p / b^alpha, b relative to the input's box (section 3.2).
     fn score(&self, unit: f64, alpha: f64) -> f64 {
         self.arrangement.efficiency / (self.weighted / unit).powf(alpha)
@@ -240,9 +248,9 @@ pub(crate) fn search(start: State, ground: &Ground<'_>, limits: &Limits, context
             idle += 1;
             continue;
         };
-        let before = found.states[0].arrangement.efficiency;
+        let before = found.states[0].worth(ground, limits);
         run(&next, ROUND_BEAM, ground, limits, &mut random, &mut found, context)?;
-        idle = if found.states[0].arrangement.efficiency > before + limits.gain { 0 } else { idle + 1 };
+        idle = if found.states[0].worth(ground, limits) > before + limits.gain { 0 } else { idle + 1 };
     }
     found.stopped_by = stopped_by;
     Ok(found)
@@ -270,7 +278,7 @@ fn run(
     context: &Context,
 ) -> Result<&'static str> {
     let mut front = vec![start.clone()];
-    keep(&mut found.states, start);
+    keep(&mut found.states, start, ground, limits);
     let mut failures = 0;
     loop {
         context.check()?;
@@ -282,11 +290,11 @@ fn run(
             Ok(next) => next,
             Err(limit) => return Ok(limit),
         };
-        let before = found.states[0].arrangement.efficiency;
+        let before = found.states[0].worth(ground, limits);
         for state in &next {
-            keep(&mut found.states, state);
+            keep(&mut found.states, state, ground, limits);
         }
-        failures = if found.states[0].arrangement.efficiency > before + limits.gain { 0 } else { failures + 1 };
+        failures = if found.states[0].worth(ground, limits) > before + limits.gain { 0 } else { failures + 1 };
         if failures >= limits.patience {
             return Ok("no_improvement");
         }
@@ -346,17 +354,16 @@ fn step(
     Ok(if next.is_empty() { Err("no_improvement") } else { Ok(next) })
 }
 
-/// Keeps the best states, by packing efficiency, then by length.
-fn keep(best: &mut Vec<State>, state: &State) {
+/// Keeps the best states by their worth, then by length.
+fn keep(best: &mut Vec<State>, state: &State, ground: &Ground<'_>, limits: &Limits) {
+    let worth = |s: &State| s.worth(ground, limits);
     let same = |b: &State| (b.length - state.length).abs() <= 1e-9 * b.length && b.panels.len() == state.panels.len();
-    if best.iter().any(|b| same(b) && b.arrangement.efficiency >= state.arrangement.efficiency) {
+    if best.iter().any(|b| same(b) && worth(b) >= worth(state)) {
         return;
     }
     best.retain(|b| !same(b));
-    let worse = |a: &State, b: &State| {
-        b.arrangement.efficiency.total_cmp(&a.arrangement.efficiency).then(a.length.total_cmp(&b.length))
-    };
-    let place = best.partition_point(|b| worse(b, state).is_le());
+    let order = |a: &State, b: &State| worth(b).total_cmp(&worth(a)).then(a.length.total_cmp(&b.length));
+    let place = best.partition_point(|b| order(b, state).is_le());
     if place < FINALISTS {
         best.insert(place, state.clone());
         best.truncate(FINALISTS);
