@@ -3,31 +3,19 @@
 //!
 //! `cargo bench --bench models [-- PART-OF-A-NAME]`; models lie in `INTARSIA_DATA`, or in `../shared/data`.
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
-use std::time::Instant;
+mod common;
 
+use common::{filter, run, short};
 use intarsia::asset::{File, read_paths};
-use intarsia::context::Context;
 use intarsia::refine::options::{Gutter, IfLarger, Options, OverlapMode, Rotation, TextureFormat};
-use intarsia::refine::{Input, Outcome, refine};
 use serde_json::Value;
 
 fn main() {
-    let filter = std::env::args().skip(1).find(|a| !a.starts_with("--")).unwrap_or_default();
-    let folder = std::env::var_os("INTARSIA_DATA")
-        .map(PathBuf::from)
-        .unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
-    let mut models = Vec::new();
-    for part in ["pbr", "scans", "uv"] {
-        collect(&folder.join(part), &mut models);
-    }
-    models.sort();
+    let filter = filter();
+    let (folder, models) = common::models(&["pbr", "scans", "uv"]);
     if models.is_empty() {
-        println!("skipped: no models at hand (set INTARSIA_DATA)");
         return;
     }
-    println!("machine {} | commit {} | seed 0", machine(), commit());
     println!(
         "{:36} {:>6} {:>6} | default: {:>6} {:>11} {:>5} {:>8} {:>9} {:>7} {:>9} | any: {:>6} {:>7} {:>6}",
         "model", "charts", "before", "PE", "sheet", "s", "psnr", "max/255", "mip2", "angle p95", "PE", "psnr", "s"
@@ -40,44 +28,6 @@ fn main() {
         let Ok(files) = read_paths(std::slice::from_ref(&path)) else { continue };
         println!("{:36} {} | {}", short(&name), default_job(&files), tightest(files));
     }
-}
-
-fn short(name: &str) -> String {
-    name.split_once('/').map_or(name, |n| n.1).chars().take(36).collect()
-}
-
-fn collect(folder: &Path, into: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        let path = entry.path();
-        if path.is_dir() {
-            collect(&path, into);
-        } else if path.extension().is_some_and(|e| e == "glb" || e == "gltf" || e == "obj") {
-            into.push(path);
-        }
-    }
-}
-
-fn commit() -> String {
-    let output =
-        Command::new("git").args(["describe", "--always", "--dirty"]).current_dir(env!("CARGO_MANIFEST_DIR")).output();
-    output.map(|o| String::from_utf8_lossy(&o.stdout).trim().to_owned()).unwrap_or_default()
-}
-
-fn machine() -> String {
-    let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = cpu
-        .lines()
-        .find_map(|l| l.strip_prefix("model name"))
-        .unwrap_or("unknown")
-        .trim_start_matches(['\t', ' ', ':']);
-    format!("{model}, {} threads", rayon::current_num_threads())
-}
-
-fn run(files: Vec<File>, options: &Options) -> Result<(Outcome, f64), String> {
-    let start = Instant::now();
-    let input = Input { models: vec![files], ..Input::default() };
-    let outcome = refine(&input, options, &Context::silent()).map_err(|e| e.to_string())?;
-    Ok((outcome, start.elapsed().as_secs_f64()))
 }
 
 /// The extreme of a figure over all textures of the report.

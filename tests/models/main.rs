@@ -1,6 +1,7 @@
 //! Real models through the whole engine. They lie in `INTARSIA_DATA`, or in `../shared/data`; where they are not, these
 //! tests say so and pass.
 
+mod box_cutter;
 mod data;
 mod geometry;
 mod pack;

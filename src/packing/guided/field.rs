@@ -36,7 +36,7 @@ impl Field {
 
     /// Adds a rectangle of prices with its corner at `(x, y)`, times `weight`, as far as it lies in the field.
     pub fn add<T: Copy + Into<i32>>(&mut self, prices: &[T], width: usize, x: i32, y: i32, weight: i32) -> u64 {
-        let height = if width == 0 { 0 } else { prices.len() / width };
+        let height = prices.len().checked_div(width).unwrap_or(0);
         let left = (self.x - x).max(0);
         let right = (self.x + self.width as i32 - x).min(width as i32);
         let top = (self.y - y).max(0);

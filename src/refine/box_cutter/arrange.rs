@@ -33,9 +33,35 @@ pub(crate) struct Sheet {
 /// Rules of placement: the growth of the active area first, then what lies lowest, or what stays lowest.
 const RULES: [Rule; 2] = [Rule { growth: 4.0, top: 1.0, low: 0.0 }, Rule { growth: 4.0, top: 0.0, low: 1.0 }];
 
+/// Widths about a known one.
+const NEAR: [f64; 3] = [1.0, 0.94, 1.06];
+/// Fewer panels are cheap enough for all strips.
+const SOME: usize = 32;
+/// So many panels are packed in one order only, where strips are near a known one.
+const MANY: usize = 80;
+
 impl Sheet {
-    /// Packs the panels greedily, in several orders and on strips of several widths, and gives the best; and the work.
-    pub fn arrange(&self, panels: &[Arc<Panel>]) -> (Option<Arrangement>, u64) {
+    /// Packs the panels greedily, in several orders and on strips of several widths, and gives the best; and the work. Where panels
+    /// are those of a known layout but for few, strips about `near` as wide as that one are enough.
+    pub fn arrange(&self, panels: &[Arc<Panel>], near: Option<usize>) -> (Option<Arrangement>, u64) {
+        let near = near.filter(|_| panels.len() > SOME);
+        let widths: Vec<usize> = match near {
+            Some(width) => NEAR.iter().map(|f| ((width as f64 * f) as usize).clamp(1, self.widest())).collect(),
+            None => self.widths.clone(),
+        };
+        let found = self.on_strips(panels, &widths, near.is_some());
+        if found.0.is_none() && near.is_some() {
+            let (arranged, work) = self.on_strips(panels, &self.widths, false);
+            return (arranged, work + found.1);
+        }
+        found
+    }
+
+    fn widest(&self) -> usize {
+        self.widths.iter().copied().max().unwrap_or(1)
+    }
+
+    fn on_strips(&self, panels: &[Arc<Panel>], widths: &[usize], near: bool) -> (Option<Arrangement>, u64) {
         let raster = &self.raster;
         let of_piece = panels.iter().map(|p| p.shapes(raster)).collect();
         let shapes = Shapes { cell: raster.cell, gutter: 0, stride: 1, of_piece, pitch: raster.pitch };
@@ -50,13 +76,21 @@ impl Sheet {
         by_side.sort_by_key(|&p| std::cmp::Reverse(longest(p)));
         let mut best: Option<(f64, Layout)> = None;
         let mut work = 0;
-        for (order, rule) in [(&by_area, RULES[0]), (&by_side, RULES[0]), (&by_area, RULES[1])] {
-            for &width in &self.widths {
+        let plans = [(&by_area, RULES[0]), (&by_side, RULES[0]), (&by_area, RULES[1])];
+        let count = if !near {
+            3
+        } else if panels.len() > MANY {
+            1
+        } else {
+            2
+        };
+        for (order, rule) in &plans[..count] {
+            for &width in widths {
                 let height = match &best {
                     Some((least, _)) => self.height_for(*least, width).min(self.height),
                     None => self.height,
                 };
-                let plan = Plan { order: order.clone(), width, height, rule, partial: false };
+                let plan = Plan { order: (*order).clone(), width, height, rule: *rule, partial: false };
                 let (layout, _) = greedy(&shapes, &plan);
                 work += layout.work + 20 * panels.len() as u64;
                 if !layout.left_over.is_empty() {

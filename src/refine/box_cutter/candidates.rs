@@ -30,7 +30,12 @@ pub(crate) struct Choice {
     pub least: f64,
     /// Random lines instead of void boxes (section 5, "Validation").
     pub random: bool,
+    /// More local boxes where panels are many, which the paper does not have.
+    pub many: bool,
 }
+
+/// So many panels offer one local box more.
+const PANELS_A_BOX: usize = 12;
 
 /// A line of the sheet: its place in each panel that it may cut.
 type Placed = Vec<(usize, Line)>;
@@ -83,7 +88,7 @@ impl State {
             .collect();
         let mut boxes: Vec<(f64, usize, usize)> = own.into_iter().flatten().collect();
         boxes.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-        boxes.truncate(choice.boxes);
+        boxes.truncate(if choice.many { choice.boxes.max(self.panels.len() / PANELS_A_BOX) } else { choice.boxes });
         let lines = |(_, i, n): (f64, usize, usize)| {
             let void = &voids(i)[n];
             [0, 1].map(|d| (void.sides[d].iter().map(|l| vec![(i, *l)]).collect(), choice.shift * void.across[d]))

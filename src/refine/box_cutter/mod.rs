@@ -40,10 +40,10 @@ use crate::packing::Pitch;
 
 /// Cells along the side of a square that would hold everything, by number of panels.
 const CELLS: [(usize, f64); 3] = [(60, 160.0), (200, 208.0), (usize::MAX, 288.0)];
-/// Words of occupancy that the search may look at, for each part by which the boundary may grow; and at most.
+/// Words of occupancy that the search may look at: the more, the more the boundary may grow; and at most.
 const WORK: f64 = 1e9;
 /// See [`WORK`].
-const MOST_WORK: f64 = 1.2e9;
+const MOST_WORK: f64 = 2e9;
 /// States whose cuts are made and packed at the fine resolution.
 const FINALS: usize = 3;
 /// Share of a thorough packing's work that each of them gets.
@@ -76,7 +76,7 @@ pub(crate) fn box_cutter(
     let total: f64 = panels.iter().map(|p| p.area).sum();
     let length: f64 = panels.iter().map(|p| p.length).sum();
     let sheet = sheet(&panels, frame, options);
-    let (arrangement, _) = sheet.arrange(&panels);
+    let (arrangement, _) = sheet.arrange(&panels, None);
     let Some(arrangement) = arrangement else { return Err(Failure::internal("no strip holds the panels")) };
     let ground = Ground {
         sheet,
@@ -86,6 +86,7 @@ pub(crate) fn box_cutter(
             shift: params.line_shift,
             least: params.min_extent * unit,
             random: params.search == Search::Random,
+            many: params.search == Search::Beam,
         },
         field: weights.filter(|_| !along_edges).map(|_| Field::new(&clean, &charts, &corner_weights(&clean, weights))),
         mesh: along_edges.then(|| start::mesh(&clean, &topology, weights)),
@@ -98,7 +99,7 @@ pub(crate) fn box_cutter(
         charts: params.max_charts.map_or(usize::MAX, |n| n as usize),
         work: options.work_budget.unwrap_or_else(|| {
             let growth = params.max_boundary_length.map_or(f64::INFINITY, |b| b - 1.0);
-            (WORK * growth.max(0.05)).min(MOST_WORK) as u64
+            (WORK * growth.max(0.05) * (0.7 + growth)).min(MOST_WORK) as u64
         }),
         alpha: params.alpha,
         gain: params.min_improvement,
@@ -282,7 +283,7 @@ fn packed_efficiency(atlas: &Atlas, frame: &Frame, options: &Options) -> Result<
     // Where charts were cut or moved they may lie on each other: each is its own.
     let together = clusters(atlas, &charts, OverlapMode::Separate);
     let panels = start::panels(atlas, &topology, &charts, &together, false, options.pack.rotation);
-    Ok(sheet(&panels, frame, options).arrange(&panels).0.map_or(0.0, |a| a.efficiency))
+    Ok(sheet(&panels, frame, options).arrange(&panels, None).0.map_or(0.0, |a| a.efficiency))
 }
 
 /// Area of the charts over the area of their boxes, page by page.

@@ -101,6 +101,10 @@ pub(crate) struct Found {
 
 /// States that a search gives back at most.
 const FINALISTS: usize = 6;
+/// Candidates that are tried together, and of how many of the states carried on.
+const JOINED: [usize; 4] = [2, 4, 8, 16];
+/// See [`JOINED`].
+const JOINED_PARENTS: usize = 2;
 /// States carried on at each step of a further round.
 const ROUND_BEAM: usize = 2;
 /// Rounds without improvement after which the search ends, whatever work is left.
@@ -185,7 +189,7 @@ impl State {
         for (cut, _) in self.cuts.iter().zip(&gone).filter(|(_, gone)| !**gone) {
             next.again(cut, ground);
         }
-        let (arrangement, own) = ground.sheet.arrange(&next.panels);
+        let (arrangement, own) = ground.sheet.arrange(&next.panels, Some(self.arrangement.layout.width));
         *work += own;
         next.arrangement = arrangement?;
         Some(next)
@@ -295,7 +299,10 @@ fn run(
             keep(&mut found.states, state, ground, limits);
         }
         failures = if found.states[0].worth(ground, limits) > before + limits.gain { 0 } else { failures + 1 };
-        if failures >= limits.patience {
+        // Of many panels each cut helps little.
+        let patience =
+            if limits.rounds { limits.patience.max(front[0].panels.len() as u32 / 8) } else { limits.patience };
+        if failures >= patience {
             return Ok("no_improvement");
         }
         front = next;
@@ -319,12 +326,12 @@ fn step(
     }
     context.check()?;
     let executed: Vec<Option<State>> = jobs.par_iter().map(|(i, c)| front[*i].execute(c, ground)).collect();
-    let mut cut: Vec<State> = executed.into_iter().flatten().collect();
+    let mut cut: Vec<(usize, State)> = executed.into_iter().enumerate().filter_map(|(j, s)| Some((j, s?))).collect();
     let any = !cut.is_empty();
     let within = cut.len();
-    cut.retain(|s| s.length <= limits.length);
+    cut.retain(|(_, s)| s.length <= limits.length);
     let too_long = within > cut.len();
-    cut.retain(|s| s.panels.len() <= limits.charts);
+    cut.retain(|(_, s)| s.panels.len() <= limits.charts);
     if cut.is_empty() {
         return Ok(Err(match (any, too_long) {
             (false, _) => "no_improvement",
@@ -333,25 +340,73 @@ fn step(
         }));
     }
     // The same cuts in another order have the same length.
-    cut.sort_by(|a, b| a.length.total_cmp(&b.length).then(a.panels.len().cmp(&b.panels.len())));
-    cut.dedup_by(|a, b| (a.length - b.length).abs() <= 1e-9 * b.length && a.panels.len() == b.panels.len());
+    cut.sort_by(|(_, a), (_, b)| a.length.total_cmp(&b.length).then(a.panels.len().cmp(&b.panels.len())));
+    cut.dedup_by(|(_, a), (_, b)| (a.length - b.length).abs() <= 1e-9 * b.length && a.panels.len() == b.panels.len());
+    let mut next = arranged(cut, ground, found, context)?;
+    if limits.rounds {
+        let more = together(&next, &jobs, front, ground, limits);
+        next.extend(arranged(more, ground, found, context)?);
+    }
+    Ok(if next.is_empty() { Err("no_improvement") } else { Ok(next.into_iter().map(|n| n.1).collect()) })
+}
+
+/// The states, arranged anew.
+fn arranged(
+    cut: Vec<(usize, State)>,
+    ground: &Ground<'_>,
+    found: &mut Found,
+    context: &Context,
+) -> Result<Vec<(usize, State)>> {
     let arranged: Vec<_> = cut
         .par_iter()
-        .map(|s| {
+        .map(|(_, s)| {
             context.check()?;
-            Ok(ground.sheet.arrange(&s.panels))
+            Ok(ground.sheet.arrange(&s.panels, Some(s.arrangement.layout.width)))
         })
         .collect::<Result<_>>()?;
     found.tried += cut.len();
     let mut next = Vec::with_capacity(cut.len());
-    for (mut state, (arrangement, work)) in cut.into_iter().zip(arranged) {
+    for ((job, mut state), (arrangement, work)) in cut.into_iter().zip(arranged) {
         found.work += work;
         if let Some(arrangement) = arrangement {
             state.arrangement = arrangement;
-            next.push(state);
+            next.push((job, state));
         }
     }
-    Ok(if next.is_empty() { Err("no_improvement") } else { Ok(next) })
+    Ok(next)
+}
+
+/// Several good candidates of one state at once, each in panels of its own: where charts are many, one cut at a time takes long.
+fn together(
+    next: &[(usize, State)],
+    jobs: &[(usize, Candidate)],
+    front: &[State],
+    ground: &Ground<'_>,
+    limits: &Limits,
+) -> Vec<(usize, State)> {
+    let mut lots: Vec<(usize, Candidate)> = Vec::new();
+    for parent in 0..front.len().min(JOINED_PARENTS) {
+        let mut own: Vec<&(usize, State)> = next.iter().filter(|(j, _)| jobs[*j].0 == parent).collect();
+        let score = |s: &State| s.score(ground.unit, limits.alpha);
+        own.sort_by(|a, b| score(&b.1).total_cmp(&score(&a.1)).then(a.0.cmp(&b.0)));
+        let mut lines: Vec<(usize, Vec<Line>)> = Vec::new();
+        let mut count = 0;
+        for (job, _) in own {
+            let candidate = &jobs[*job].1;
+            if candidate.lines.iter().any(|(i, _)| lines.iter().any(|(j, _)| i == j)) {
+                continue;
+            }
+            lines.extend(candidate.lines.iter().cloned());
+            count += 1;
+            if JOINED.contains(&count) {
+                lots.push((parent, Candidate { lines: lines.clone() }));
+            }
+        }
+    }
+    lots.into_par_iter()
+        .filter_map(|(parent, c)| Some((usize::MAX, front[parent].execute(&c, ground)?)))
+        .filter(|(_, s)| s.length <= limits.length && s.panels.len() <= limits.charts)
+        .collect()
 }
 
 /// Keeps the best states by their worth, then by length.

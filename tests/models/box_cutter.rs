@@ -1,0 +1,161 @@
+//! `--recipe box_cutter` on real models: valid, whole, free of overlaps, and without a trace of the cuts in the picture.
+
+use intarsia::asset::{File, Limits, load, read};
+use intarsia::atlas::{Atlas, Topology};
+use intarsia::context::Context;
+use intarsia::refine::options::{IfLarger, Options, OverlapMode, Recipe, Rotation, TextureFormat};
+use intarsia::refine::{Input, Outcome, refine};
+use intarsia::texture::{Image, Samples, decode};
+
+use super::{data, geometry, validator};
+
+fn options() -> Options {
+    let mut options = Options { recipe: Recipe::Preset("box_cutter".to_owned()), ..Options::default() };
+    options.texture.format = TextureFormat::Png;
+    options.atlas.overlaps = OverlapMode::Separate;
+    options.atlas.if_larger = IfLarger::Accept;
+    options.work_budget = Some(20_000_000);
+    options
+}
+
+fn run(files: Vec<File>, options: &Options) -> Outcome {
+    let input = Input { models: vec![files], extras: true, ..Input::default() };
+    refine(&input, options, &Context::silent()).expect("the model is refined")
+}
+
+fn model(outcome: &Outcome) -> &[u8] {
+    &outcome.artifacts.iter().find(|a| a.role == "model").expect("a model").bytes
+}
+
+/// The first atlas of a model, as it would be read.
+fn atlas(glb: &[u8]) -> Atlas {
+    let files = [File { path: "model.glb".to_owned(), bytes: glb.to_vec() }];
+    let (doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
+    read(&doc, &Options::default().atlas, &Context::silent()).expect("the model reads").swap_remove(0).atlas
+}
+
+fn surface(atlas: &Atlas) -> f64 {
+    atlas.faces().map(|f| atlas.area(f)).sum()
+}
+
+#[test]
+fn cut_models_are_valid_whole_and_free_of_overlaps() {
+    for (name, along_edges) in [
+        ("pbr/khr_Avocado/Avocado.gltf", false),
+        ("pbr/khr_WaterBottle/WaterBottle.gltf", false),
+        ("pbr/khr_CesiumMan/CesiumMan.glb", true),
+        ("uv/derived_homer.obj", false),
+        ("uv/derived_octopus_mainComp_f6000.obj", false),
+    ] {
+        let Some(files) = data::model(name) else { continue };
+        let (doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
+        let original = doc.to_glb().expect("a GLB");
+        let outcome = run(files, &options());
+        let glb = model(&outcome);
+        let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR"));
+        let file = |kind: &str| folder.join(format!("{}.cut-{kind}.glb", name.replace('/', "_")));
+        std::fs::write(file("before"), &original).expect("a file");
+        std::fs::write(file("after"), glb).expect("a file");
+        if let (Some(before), Some(after)) = (validator::errors(&file("before")), validator::errors(&file("after"))) {
+            let new: Vec<_> = after.difference(&before).collect();
+            assert!(new.is_empty(), "{name}: the validator finds {new:?}");
+        }
+        let (before, after) = (atlas(&original), atlas(glb));
+        assert!((surface(&before) - surface(&after)).abs() <= 1e-6 * surface(&before), "{name}: the surface changed");
+        let shut = |a: &Atlas| Topology::new(a).surface_twin.iter().filter(|t| **t == intarsia::atlas::NONE).count();
+        if along_edges {
+            assert_eq!(
+                geometry::corners(glb),
+                geometry::corners(&original),
+                "{name}: skinned models are cut along edges"
+            );
+        } else {
+            assert!(after.face_count() > before.face_count(), "{name}: straight cuts split triangles");
+        }
+        if shut(&before) == 0 {
+            assert_eq!(shut(&after), 0, "{name}: a crack opened");
+        }
+        let figures = &outcome.report["atlases"][0];
+        let figure = |when: &str, key: &str| figures[when][key].as_f64().unwrap_or(f64::NAN);
+        assert!(figure("after", "overlap_fraction") < 1e-6, "{name}: {figures}");
+        assert!(
+            figure("after", "packing_efficiency") > figure("before", "packing_efficiency") + 0.05,
+            "{name}: {figures}"
+        );
+        let stage = &outcome.report["stages"][0];
+        assert!(stage["boundary_length_ratio"].as_f64().is_some_and(|b| b <= 1.5), "{name}: {stage}");
+        for texture in outcome.report["textures"].as_array().expect("textures") {
+            assert_eq!(texture["exact"], true, "{name}: {texture}");
+            assert!(texture["angle_p95_deg"].as_f64().is_none_or(|a| a < 1.0), "{name}: {texture}");
+        }
+        println!("{name}: {} {stage}", figures["after"]["packing_efficiency"]);
+    }
+}
+
+#[test]
+fn both_sides_of_a_cut_have_one_colour() {
+    for name in ["pbr/khr_Avocado/Avocado.gltf", "pbr/khr_WaterBottle/WaterBottle.gltf"] {
+        let Some(files) = data::model(name) else { continue };
+        let (doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
+        let before = atlas(&doc.to_glb().expect("a GLB"));
+        let mut options = options();
+        options.pack.rotation = Rotation::Any;
+        let outcome = run(files, &options);
+        let after = atlas(model(&outcome));
+        let texture = outcome.artifacts.iter().find(|a| a.name.contains("base_color")).expect("a texture");
+        let image = decode(&texture.bytes, 1 << 28).expect("a picture");
+
+        let old = seams(&before);
+        let mut differences = Vec::new();
+        for ([a, b], sides) in seams(&after) {
+            let middle = (a + b) * 0.5;
+            let distance = |s: &([glam::DVec3; 2], [[glam::DVec2; 2]; 2])| {
+                let d = s.0[1] - s.0[0];
+                let t = ((middle - s.0[0]).dot(d) / d.length_squared()).clamp(0.0, 1.0);
+                middle.distance(s.0[0] + d * t)
+            };
+            if old.iter().map(distance).fold(f64::INFINITY, f64::min) < 1e-4 * a.distance(b) {
+                continue;
+            }
+            let colours = sides.map(|[p, q]| colour(&image, (p + q) * 0.5));
+            differences.extend((0..3).map(|c| (colours[0][c] - colours[1][c]).abs()));
+        }
+        let mean = differences.iter().sum::<f64>() / differences.len().max(1) as f64;
+        println!("{name}: {} samples on both sides of cuts differ by {mean:.3}/255 on average", differences.len());
+        assert!(differences.len() > 30 && mean < 2.0, "{name}: {mean}");
+    }
+}
+
+/// Seams: their ends on the surface, and their ends in UV on either side, in texels.
+fn seams(atlas: &Atlas) -> Vec<([glam::DVec3; 2], [[glam::DVec2; 2]; 2])> {
+    let topology = Topology::new(atlas);
+    let ends = |h: u32| [h as usize % 3, (h as usize + 1) % 3].map(|k| (h as usize / 3, k));
+    (0..topology.uv_twin.len() as u32)
+        .filter(|&h| topology.is_seam(h) && h < topology.surface_twin[h as usize])
+        .map(|h| {
+            let place = |(f, k): (usize, usize)| atlas.surface.positions[atlas.surface.triangles[f][k].index()];
+            let uv = |(f, k): (usize, usize)| atlas.uv[atlas.corners[f][k].index()];
+            let other = ends(topology.surface_twin[h as usize]);
+            (ends(h).map(place), [ends(h).map(uv), other.map(uv)])
+        })
+        .collect()
+}
+
+/// Bilinear, 0..=255.
+fn colour(image: &Image, p: glam::DVec2) -> [f64; 3] {
+    let at = p - glam::DVec2::splat(0.5);
+    let (low, part) = (at.floor(), at - at.floor());
+    let texel = |x: f64, y: f64, c: usize| {
+        let x = (x.max(0.0) as u32).min(image.width - 1) as usize;
+        let y = (y.max(0.0) as u32).min(image.height - 1) as usize;
+        let index = (y * image.width as usize + x) * usize::from(image.channels) + c;
+        match &image.samples {
+            Samples::U8(samples) => f64::from(samples[index]),
+            Samples::U16(samples) => f64::from(samples[index]) / 257.0,
+        }
+    };
+    [0, 1, 2].map(|c| {
+        let row = |y: f64| texel(low.x, y, c) * (1.0 - part.x) + texel(low.x + 1.0, y, c) * part.x;
+        row(low.y) * (1.0 - part.y) + row(low.y + 1.0) * part.y
+    })
+}
