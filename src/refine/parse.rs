@@ -26,6 +26,10 @@ pub const RECIPES: &[(&str, &str)] = &[
         "box_cutter",
         "Removes overlaps, then cuts charts where that lets them pack better, within a budget of boundary length.",
     ),
+    (
+        "fabrication",
+        "Cuts and packs 2D panels for sheets of material, without overlaps, and draws them as SVG with seam allowances or flaps.",
+    ),
 ];
 /// Names of the contract that this version does not have yet.
 const LATER: &[&str] = &["defrag", "optcuts", "bounded", "scan"];
@@ -238,7 +242,9 @@ fn recipe(value: &Value, pointer: &str, cutter: Option<&Map<String, Value>>, pro
                 problems.push(Problem::new(pointer, format!("a recipe has 1 to {MAX_STAGES} stages")));
             }
             let each = list.iter().take(MAX_STAGES).enumerate();
-            Recipe::Stages(each.filter_map(|(i, v)| stage(v, &format!("{pointer}/{i}"), cutter, problems)).collect())
+            // A stage that cannot be read keeps its place, so that the others' pointers are right.
+            let read = |(i, v)| stage(v, &format!("{pointer}/{i}"), cutter, problems).unwrap_or(Stage::Pack {});
+            Recipe::Stages(each.map(read).collect())
         }
         other => {
             problems
@@ -441,12 +447,7 @@ mod tests {
 
         let bad = json!({"recipe": [{"stage": "box_cutter", "max_chart": 9}, {"stage": "box_cutter", "beam": 0}], "box_cutter": {"alpha": 9}});
         let found: Vec<String> = options(&bad).unwrap_err().into_iter().map(|p| p.pointer).collect();
-        assert_eq!(
-            found,
-            ["/recipe/0/max_chart", "/box_cutter/alpha", "/recipe/0/alpha", "/recipe/1/alpha", "/recipe/1/beam"]
-                [..found.len()]
-        );
-        assert!(found.len() >= 2);
+        assert_eq!(found, ["/recipe/0/max_chart", "/box_cutter/alpha", "/recipe/1/alpha", "/recipe/1/beam"]);
     }
 
     #[test]

@@ -44,6 +44,8 @@ const CELLS: [(usize, f64); 3] = [(60, 160.0), (200, 208.0), (usize::MAX, 288.0)
 const WORK: f64 = 1e9;
 /// See [`WORK`].
 const MOST_WORK: f64 = 2e9;
+/// Work of a search at which the final layouts get their full share.
+const USUAL_WORK: f64 = 2e8;
 /// States whose cuts are made and packed at the fine resolution.
 const FINALS: usize = 3;
 /// Share of a thorough packing's work that each of them gets.
@@ -232,6 +234,8 @@ fn finish(
         let (cut, origin) = start::apply(clean.atlas, clean.topology, clean.charts, &state.cuts, ground.unit);
         let layout = start::layout(&cut, &origin, options.atlas.overlaps, state, &ground.sheet.raster);
         let effort = if options.pack.search == PackSearch::Thorough { 1.0 / FINALS as f64 } else { EFFORT };
+        // A small budget of work is small for all that is done.
+        let effort = effort * (limits.work as f64 / USUAL_WORK).min(1.0);
         let (laid, own) = lay_out(&cut, frame, &own, layout.as_slice(), effort, context)?;
         work += own;
         // What packing made of it, weighed as in the search.
