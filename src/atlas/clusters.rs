@@ -99,7 +99,8 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
     (0..boxes.len() as u32).map(|i| find(&mut parent, i)).collect()
 }
 
-fn find(parent: &mut [u32], mut i: u32) -> u32 {
+/// The smallest member of the set that `i` is in (union-find with path halving).
+pub(super) fn find(parent: &mut [u32], mut i: u32) -> u32 {
     while parent[i as usize] != i {
         parent[i as usize] = parent[parent[i as usize] as usize];
         i = parent[i as usize];

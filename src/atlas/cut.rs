@@ -1,5 +1,6 @@
 //! Cutting charts open along edges.
 
+use super::clusters::find;
 use super::topology::{HalfEdge, NONE};
 use super::{Atlas, Topology, UvId};
 
@@ -27,7 +28,7 @@ impl Atlas {
         let mut parent: Vec<u32> = (0..3 * self.face_count() as u32).collect();
         let join = |parent: &mut Vec<u32>, a: usize, b: usize| {
             if uv_of(a) == uv_of(b) && touched[uv_of(a).index()] {
-                let (a, b) = (root(parent, a as u32), root(parent, b as u32));
+                let (a, b) = (find(parent, a as u32), find(parent, b as u32));
                 parent[a.max(b) as usize] = a.min(b);
             }
         };
@@ -55,7 +56,7 @@ impl Atlas {
             if !touched[uv.index()] {
                 continue;
             }
-            let part = root(&mut parent, corner as u32) as usize;
+            let part = find(&mut parent, corner as u32) as usize;
             let own = *name[part].get_or_insert_with(|| {
                 if std::mem::replace(&mut kept[uv.index()], true) {
                     next.uv.push(self.uv[uv.index()]);
@@ -74,14 +75,6 @@ impl Atlas {
 fn ends(h: HalfEdge) -> (usize, usize) {
     let h = h as usize;
     (h, h / 3 * 3 + (h + 1) % 3)
-}
-
-fn root(parent: &mut [u32], mut i: u32) -> u32 {
-    while parent[i as usize] != i {
-        parent[i as usize] = parent[parent[i as usize] as usize];
-        i = parent[i as usize];
-    }
-    i
 }
 
 #[cfg(test)]
