@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::{ARRAY_BUFFER, Document, RawAccessor, Slot};
+use super::{ARRAY_BUFFER, Document, RawAccessor, Reading, Slot};
 use crate::texture::{Alpha, Format, Header, Image, Role, Samples, Wrap, encode};
 
 /// A base-colour slot that repeats.
@@ -12,7 +12,7 @@ pub(crate) fn slot(image: usize, size: [u32; 2]) -> Slot {
         role: Role::BaseColor,
         name: "base_color".to_owned(),
         header: Header { width: size[0], height: size[1], channels: 3, depth: 8, format: Format::Png },
-        wrap: [Wrap::Repeat; 2],
+        readings: vec![Reading { wrap: [Wrap::Repeat; 2], primitives: vec![0] }],
         mipmaps: true,
         alpha: Alpha::Opaque,
         primitives: vec![0],

@@ -9,6 +9,7 @@ use super::Document;
 use super::accessor::{accessor_count, read_indices, read_vec2, read_vec3};
 use super::json::{array, index};
 use super::scan::primitive_pointer;
+use super::transform::{Layout, Transform};
 use crate::atlas::{Atlas, UvId, VertexId};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
@@ -22,8 +23,10 @@ pub(crate) struct Geometry {
     pub(crate) accessors: (usize, usize),
     /// Position by glTF vertex, finite.
     pub(crate) positions: Rc<Vec<[f32; 3]>>,
-    /// UV by glTF vertex, finite.
+    /// UV by glTF vertex, finite, as stored.
     pub(crate) uvs: Rc<Vec<[f32; 2]>>,
+    /// What is done to the UVs before a texture is read.
+    pub(crate) transform: Transform,
     /// glTF vertices of each triangle.
     pub(crate) corners: Vec<[u32; 3]>,
 }
@@ -41,12 +44,19 @@ impl<'a> Reader<'a> {
         Reader { doc, positions: HashMap::new(), uvs: HashMap::new() }
     }
 
-    /// Triangles, positions and TEXCOORD_`uv_set` of a triangle primitive.
+    /// Triangles, positions and texture coordinates of a triangle primitive.
     ///
     /// # Errors
     /// `invalid_model` with the accessor's pointer: index out of range, counts that differ, numbers that are
     /// not finite.
-    pub(crate) fn read(&mut self, mesh: usize, primitive: usize, uv_set: usize, context: &Context) -> Result<Geometry> {
+    pub(crate) fn read(
+        &mut self,
+        mesh: usize,
+        primitive: usize,
+        layout: Layout,
+        context: &Context,
+    ) -> Result<Geometry> {
+        let Layout { uv_set, transform } = layout;
         context.check()?;
         let pointer = primitive_pointer(mesh, primitive);
         let value = self.doc.json.pointer(&pointer);
@@ -80,7 +90,7 @@ impl<'a> Reader<'a> {
             let text = format!("{} indices are no whole number of triangles: the last are ignored", order.len());
             context.warn(Warning::new("trailing_indices", text).at(pointer));
         }
-        Ok(Geometry { mesh, accessors: (p, t), positions, uvs, corners: triangles(mode, &order) })
+        Ok(Geometry { mesh, accessors: (p, t), positions, uvs, transform, corners: triangles(mode, &order) })
     }
 }
 
@@ -133,11 +143,15 @@ fn bits<const N: usize>(v: [f32; N]) -> [u32; N] {
     v.map(|x| (x + 0.0).to_bits())
 }
 
+fn uv_bits(uv: DVec2) -> [u64; 2] {
+    [uv.x, uv.y].map(|x| (x + 0.0).to_bits())
+}
+
 /// Surface vertex and UV vertex by glTF vertex.
 type Ids = Vec<(u32, u32)>;
 
 /// The Atlas of some primitives: positions welded within a mesh where they are equal bit by bit, UVs within a
-/// welded vertex; UVs scaled to `size` texels. No provenance, page or sheet yet.
+/// welded vertex; UVs transformed and scaled to `size` texels. No provenance, page or sheet yet.
 ///
 /// # Errors
 /// `too_large` when 32 bits cannot count the corners.
@@ -151,26 +165,26 @@ pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -
     let mut atlas = Atlas::default();
     // Looked up, never walked: the order of ids is that of first use.
     let mut vertices: HashMap<(usize, [u32; 3]), u32> = HashMap::new();
-    let mut uvs: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
-    // By mesh and accessors: the ids of each glTF vertex, once it is used.
-    let mut tables: HashMap<(usize, (usize, usize)), Ids> = HashMap::new();
+    let mut uvs: HashMap<(u32, [u64; 2]), u32> = HashMap::new();
+    // By mesh, accessors and transform: the ids of each glTF vertex, once it is used.
+    let mut tables: HashMap<(usize, (usize, usize), Transform), Ids> = HashMap::new();
     for geometry in primitives {
         context.check()?;
         let known = tables
-            .entry((geometry.mesh, geometry.accessors))
+            .entry((geometry.mesh, geometry.accessors, geometry.transform))
             .or_insert_with(|| vec![(NONE, NONE); geometry.positions.len()]);
         for corners in &geometry.corners {
             let mut ids = [(0, 0); 3];
             for (id, &v) in ids.iter_mut().zip(corners) {
                 let v = v as usize;
                 if known[v].0 == NONE {
-                    let (position, uv) = (geometry.positions[v], geometry.uvs[v]);
+                    let (position, uv) = (geometry.positions[v], geometry.transform.apply(geometry.uvs[v]));
                     let vertex = *vertices.entry((geometry.mesh, bits(position))).or_insert_with(|| {
                         atlas.surface.positions.push(DVec3::from(position.map(f64::from)));
                         atlas.surface.positions.len() as u32 - 1
                     });
-                    let uv = *uvs.entry((vertex, bits(uv))).or_insert_with(|| {
-                        atlas.uv.push(DVec2::from(uv.map(f64::from)) * scale);
+                    let uv = *uvs.entry((vertex, uv_bits(uv))).or_insert_with(|| {
+                        atlas.uv.push(uv * scale);
                         atlas.uv.len() as u32 - 1
                     });
                     known[v] = (vertex, uv);

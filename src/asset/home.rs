@@ -31,10 +31,15 @@ pub(crate) fn bring_home(atlas: &mut Atlas, slots: &[Slot], sheet: [u32; 2], til
         let text = "the texture set is left as it is: its UVs have no area, so that it reads single texels";
         return Err(Warning::new("palette_texture", text));
     }
+    if !atlas.uv.iter().all(|p| p.is_finite()) {
+        let text = "the texture set is left as it is: its texture transform throws UVs beyond all measure";
+        return Err(Warning::new("uv_out_of_range", text));
+    }
     let size = DVec2::new(f64::from(sheet[0]), f64::from(sheet[1]));
     let charts = Charts::new(&Topology::new(atlas));
     let boxes: Vec<(DVec2, DVec2)> = charts.ids().map(|c| bounds(atlas, &charts.faces[c.index()])).collect();
-    check_tiling(&boxes, slots, size, tiling)?;
+    let wraps = chart_wraps(atlas, &charts, slots);
+    check_tiling(&boxes, &wraps, slots.is_empty(), size, tiling)?;
     // By UV vertex: the chart that it belongs to, and its copy for the chart that is being moved.
     let mut owner = vec![u32::MAX; atlas.uv.len()];
     let mut copy = vec![(u32::MAX, UvId(0)); atlas.uv.len()];
@@ -46,15 +51,13 @@ pub(crate) fn bring_home(atlas: &mut Atlas, slots: &[Slot], sheet: [u32; 2], til
     }
     let mut shifts = vec![DVec2::ZERO; charts.len()];
     for axis in 0..2 {
-        let tile = match common_wrap(slots, axis) {
-            Some(Wrap::Repeat) => size[axis],
-            // Two tiles: an odd one is mirrored.
-            Some(Wrap::MirroredRepeat) => 2.0 * size[axis],
-            _ => continue,
-        };
-        let middles: Vec<f64> = boxes.iter().map(|(low, high)| 0.5 * (low[axis] + high[axis])).collect();
-        for (shift, tiles) in shifts.iter_mut().zip(tiles_from_home(&middles, tile)) {
-            shift[axis] = -tiles * tile;
+        // Two tiles where an odd one is mirrored.
+        for (wrap, tile) in [(Wrap::Repeat, size[axis]), (Wrap::MirroredRepeat, 2.0 * size[axis])] {
+            let own: Vec<usize> = (0..charts.len()).filter(|&c| wraps[c][axis] == Reach::All(wrap)).collect();
+            let middles: Vec<f64> = own.iter().map(|&c| 0.5 * (boxes[c].0[axis] + boxes[c].1[axis])).collect();
+            for (&chart, tiles) in own.iter().zip(tiles_from_home(&middles, tile)) {
+                shifts[chart][axis] = -tiles * tile;
+            }
         }
     }
     for (chart, (faces, &shift)) in charts.faces.iter().zip(&shifts).enumerate() {
@@ -83,9 +86,9 @@ pub(crate) fn bring_home(atlas: &mut Atlas, slots: &[Slot], sheet: [u32; 2], til
 }
 
 /// Whether UVs leave the image by more than a texel, where wrap modes differ.
-pub(crate) fn leaves_tile(atlas: &Atlas, sheet: [u32; 2]) -> bool {
+pub(crate) fn leaves_tile(mut uvs: impl Iterator<Item = DVec2>, sheet: [u32; 2]) -> bool {
     let inside = |x: f64, size: u32| (-SLACK..=f64::from(size) + SLACK).contains(&x);
-    atlas.uv.iter().any(|p| !inside(p.x, sheet[0]) || !inside(p.y, sheet[1]))
+    uvs.any(|p| !inside(p.x, sheet[0]) || !inside(p.y, sheet[1]))
 }
 
 /// How many tiles each chart is away, told by its middle: one that lies across a border by a little stays with those
@@ -100,10 +103,45 @@ fn tiles_from_home(middles: &[f64], tile: f64) -> Vec<f64> {
     middles.iter().map(|x| ((x + 0.25 * SLACK) / tile).floor()).collect()
 }
 
-/// The wrap mode of an axis, where all slots agree.
-fn common_wrap(slots: &[Slot], axis: usize) -> Option<Wrap> {
-    let first = slots.first()?.wrap[axis];
-    slots.iter().all(|s| s.wrap[axis] == first).then_some(first)
+/// How the images of a chart are read beyond their edges, on one axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Reach {
+    /// No image is read.
+    Nothing,
+    /// All in the same way.
+    All(Wrap),
+    /// In several ways, one of which repeats.
+    Mixed,
+}
+
+impl Reach {
+    fn and(self, other: Reach) -> Reach {
+        match (self, other) {
+            (Reach::Nothing, reach) | (reach, Reach::Nothing) => reach,
+            (a, b) if a == b => a,
+            _ => Reach::Mixed,
+        }
+    }
+}
+
+/// The wrap modes (S, T) of every chart, over all slots and primitives.
+fn chart_wraps(atlas: &Atlas, charts: &Charts, slots: &[Slot]) -> Vec<[Reach; 2]> {
+    let both = |a: [Reach; 2], b: [Reach; 2]| [a[0].and(b[0]), a[1].and(b[1])];
+    let mut by_primitive: Vec<[Reach; 2]> = Vec::new();
+    for reading in slots.iter().flat_map(|s| &s.readings) {
+        for &p in &reading.primitives {
+            if by_primitive.len() <= p as usize {
+                by_primitive.resize(p as usize + 1, [Reach::Nothing; 2]);
+            }
+            let reach = &mut by_primitive[p as usize];
+            *reach = both(*reach, reading.wrap.map(Reach::All));
+        }
+    }
+    let of_face = |f: &FaceId| {
+        let primitive = atlas.provenance.get(f.index()).map_or(0, |p| p.primitive as usize);
+        by_primitive.get(primitive).copied().unwrap_or([Reach::Nothing; 2])
+    };
+    charts.faces.iter().map(|faces| faces.iter().map(of_face).fold([Reach::Nothing; 2], both)).collect()
 }
 
 fn bounds(atlas: &Atlas, faces: &[FaceId]) -> (DVec2, DVec2) {
@@ -111,16 +149,26 @@ fn bounds(atlas: &Atlas, faces: &[FaceId]) -> (DVec2, DVec2) {
     faces.iter().flat_map(|f| atlas.uv_triangle(*f)).fold(start, |(low, high), p| (low.min(p), high.max(p)))
 }
 
-fn check_tiling(boxes: &[(DVec2, DVec2)], slots: &[Slot], size: DVec2, tiling: Tiling) -> Result<(), Warning> {
+fn check_tiling(
+    boxes: &[(DVec2, DVec2)],
+    wraps: &[[Reach; 2]],
+    is_virtual: bool,
+    size: DVec2,
+    tiling: Tiling,
+) -> Result<(), Warning> {
     let larger = |axis: usize| boxes.iter().any(|(low, high)| high[axis] - low[axis] > size[axis] + SLACK);
-    let repeats = |axis: usize| slots.iter().any(|s| s.wrap[axis] != Wrap::ClampToEdge);
-    if tiling == Tiling::Leave && (0..2).any(|axis| larger(axis) && repeats(axis)) {
+    let repeats = |(bounds, wrap): (&(DVec2, DVec2), &[Reach; 2])| {
+        let (low, high) = bounds;
+        let free = |axis: usize| matches!(wrap[axis], Reach::Nothing | Reach::All(Wrap::ClampToEdge));
+        (0..2).any(|axis| !free(axis) && high[axis] - low[axis] > size[axis] + SLACK)
+    };
+    if tiling == Tiling::Leave && boxes.iter().zip(wraps).any(repeats) {
         let text = "the texture set is left as it is: a chart repeats its texture";
         return Err(Warning::new("tiling_left", text));
     }
     let sum: f64 = boxes.iter().map(|(low, high)| (*high - *low).element_product()).sum();
     let sheets = sum / size.element_product();
-    let most = if slots.is_empty() { MOST_VIRTUAL_SHEETS } else { MOST_SHEETS };
+    let most = if is_virtual { MOST_VIRTUAL_SHEETS } else { MOST_SHEETS };
     // Not a number where coordinates are beyond all measure.
     if (larger(0) || larger(1)) && (sheets > most || sheets.is_nan()) {
         let text = format!(
@@ -157,7 +205,8 @@ mod tests {
 
     fn moved(places: &[(f64, f64, f64)], wrap: [Wrap; 2], tiling: Tiling) -> Result<Vec<(f64, f64)>, String> {
         let mut atlas = triangles(places);
-        let slots = [crate::asset::Slot { wrap, ..slot(0, SHEET) }];
+        let readings = vec![crate::asset::Reading { wrap, primitives: vec![0] }];
+        let slots = [crate::asset::Slot { readings, ..slot(0, SHEET) }];
         bring_home(&mut atlas, &slots, SHEET, tiling).map_err(|w| w.code)?;
         Ok(atlas.uv.chunks(3).map(|c| (c[0].x, c[0].y)).collect())
     }

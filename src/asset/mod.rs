@@ -41,11 +41,13 @@ mod json;
 mod read;
 mod scan;
 mod sets;
+mod transform;
 mod write;
 
 pub use read::read;
 pub(crate) use sets::grid;
 pub use sets::{is_small, mark_uniform, small_slot_warning};
+pub use transform::{Layout, Transform};
 pub use write::{BakedImage, Refined, read_back, write};
 
 use serde_json::Value;
@@ -84,8 +86,10 @@ pub struct PrimitiveRef {
     pub primitive: usize,
     /// Index into `/materials`.
     pub material: Option<usize>,
-    /// Number of the TEXCOORD set that is refined.
-    pub uv_set: usize,
+    /// The layout that is refined: the TEXCOORD set that is read, and its texture transform.
+    pub layout: Layout,
+    /// Number of the TEXCOORD set that takes the new layout: the one that is read, or a new one where something else reads it on.
+    pub written: usize,
     /// First face of the primitive in the Atlas as uploaded; its faces are contiguous.
     pub first_face: usize,
     /// Number of faces.
@@ -107,8 +111,8 @@ pub struct Slot {
     pub name: String,
     /// Size and format from the header.
     pub header: Header,
-    /// Wrap modes (S, T) of the sampler that reads it.
-    pub wrap: [Wrap; 2],
+    /// Who reads it with which wrap modes; together all of `primitives`, each once.
+    pub readings: Vec<Reading>,
     /// Whether its sampler's minification filter reads mipmaps (the default when the filter is not given).
     pub mipmaps: bool,
     /// Alpha mode of the material(s) reading it; `Opaque` for everything but base colour.
@@ -117,6 +121,15 @@ pub struct Slot {
     pub primitives: Vec<u32>,
     /// Slots that stay as they are (one colour, or under 1/8 of the reference): not baked, UVs of [0,1] still fit them.
     pub exempt: bool,
+}
+
+/// Primitives that read an image with the same wrap modes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reading {
+    /// Wrap modes (S, T) of the samplers.
+    pub wrap: [Wrap; 2],
+    /// Indices into the set's `primitives`, ascending.
+    pub primitives: Vec<u32>,
 }
 
 /// A texture set: one Atlas, its primitives and its images.

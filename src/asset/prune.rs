@@ -5,14 +5,7 @@ use serde_json::Value;
 use super::resolve::is_handled;
 
 /// Extensions that are not handled but are known to refer to neither accessors nor buffer views.
-const HARMLESS: [&str; 6] = [
-    "EXT_texture_avif",
-    "EXT_texture_webp",
-    "KHR_animation_pointer",
-    "KHR_node_visibility",
-    "KHR_texture_basisu",
-    "KHR_xmp_json_ld",
-];
+const HARMLESS: [&str; 4] = ["EXT_texture_avif", "KHR_animation_pointer", "KHR_node_visibility", "KHR_xmp_json_ld"];
 
 /// Whether every reference to an accessor or buffer view stands where [`each_accessor`] and [`each_view`] look: no
 /// extension is used, declared or not, that could hold others.

@@ -3,9 +3,9 @@
 use super::geometry::{Geometry, Reader, weld};
 use super::home::{bring_home, leaves_tile};
 use super::scan::{Scan, scan};
-use super::sets::{Planned, grid, plan};
+use super::sets::{Planned, grid, plan, written_set};
 use super::{Document, PrimitiveRef, TextureSet};
-use crate::atlas::{FaceId, Provenance};
+use crate::atlas::{Atlas, FaceId, Provenance};
 use crate::context::Context;
 use crate::error::{Result, Warning};
 use crate::refine::options::AtlasOptions;
@@ -21,10 +21,9 @@ const LONGEST_NAME: usize = 60;
 /// finite; `too_large` when 32 bits cannot count the corners; `canceled`.
 pub fn read(doc: &Document, options: &AtlasOptions, context: &Context) -> Result<Vec<TextureSet>> {
     let scan = scan(doc)?;
-    let uv_set = options.uv_set as usize;
     let mut reader = Reader::new(doc);
     let mut sets = Vec::new();
-    for planned in plan(doc, &scan, uv_set, context)? {
+    for planned in plan(doc, &scan, options.uv_set as usize, context)? {
         if let Some(set) = read_set(doc, &scan, planned, sets.len(), options, &mut reader, context)? {
             sets.push(set);
         }
@@ -41,48 +40,52 @@ fn read_set(
     reader: &mut Reader<'_>,
     context: &Context,
 ) -> Result<Option<TextureSet>> {
-    let uv_set = options.uv_set as usize;
     let mut geometries: Vec<Geometry> = Vec::new();
-    for &p in &planned.primitives {
+    for &(p, layout) in &planned.primitives {
         let primitive = &scan.primitives[p];
-        geometries.push(reader.read(primitive.mesh, primitive.primitive, uv_set, context)?);
+        geometries.push(reader.read(primitive.mesh, primitive.primitive, layout, context)?);
     }
     let mut atlas = weld(&geometries, planned.reference, context)?;
     if atlas.corners.is_empty() {
         return Ok(None);
     }
-    if let Some(image) = planned.conflict
-        && leaves_tile(&atlas, planned.reference)
-    {
-        let text = "the texture set is left as it is: UVs leave the image, which is read with several wrap modes";
-        context.warn(Warning::new("sampler_conflict", text).at(format!("/images/{image}")));
-        return Ok(None);
+    for (i, geometry) in geometries.iter().enumerate() {
+        let first = atlas.provenance.len();
+        let faces = first..first + geometry.corners.len();
+        atlas.provenance.extend(faces.map(|f| Provenance::whole(FaceId::new(f), i as u32)));
     }
-    if let Err(warning) = bring_home(&mut atlas, &planned.slots, planned.reference, options.tiling) {
-        let first = planned.primitives.first().map(|&p| &scan.primitives[p]);
+    let left = |warning: Warning| {
+        let first = planned.primitives.first().map(|&(p, _)| &scan.primitives[p]);
         let at = planned.slots.first().map(|s| format!("/images/{}", s.image));
         let at = at.or_else(|| first.map(|p| p.pointer())).unwrap_or_default();
-        context.warn(warning.at(at));
-        return Ok(None);
+        context.warn(if warning.pointer.is_some() { warning } else { warning.at(at) });
+        Ok(None)
+    };
+    if let Some(image) = leaves_conflict(&atlas, &planned) {
+        let text = "the texture set is left as it is: UVs leave the image, which is read with several wrap modes";
+        return left(Warning::new("sampler_conflict", text).at(format!("/images/{image}")));
+    }
+    if let Err(warning) = bring_home(&mut atlas, &planned.slots, planned.reference, options.tiling) {
+        return left(warning);
     }
     let mut primitives = Vec::new();
-    for (i, (geometry, &p)) in geometries.into_iter().zip(&planned.primitives).enumerate() {
-        let first_face = atlas.provenance.len();
-        let face_count = geometry.corners.len();
-        atlas
-            .provenance
-            .extend((first_face..first_face + face_count).map(|f| Provenance::whole(FaceId::new(f), i as u32)));
+    let mut first_face = 0;
+    for (geometry, &(p, layout)) in geometries.into_iter().zip(&planned.primitives) {
         let scanned = &scan.primitives[p];
+        let value = doc.json.pointer(&scanned.pointer()).unwrap_or(&serde_json::Value::Null);
+        let face_count = geometry.corners.len();
         primitives.push(PrimitiveRef {
             mesh: scanned.mesh,
             primitive: scanned.primitive,
             material: scanned.default_material,
-            uv_set,
+            layout,
+            written: written_set(scan, value, &scanned.materials, layout),
             first_face,
             face_count,
-            animated: is_animated(doc, &scanned.pointer()),
+            animated: is_animated(value),
             corners: geometry.corners,
         });
+        first_face += face_count;
     }
     atlas.page = vec![0; atlas.corners.len()];
     atlas.sheets = vec![planned.reference];
@@ -92,9 +95,17 @@ fn read_set(
     Ok(Some(TextureSet { id, name, atlas, reference, primitives, slots, grid }))
 }
 
+/// The first image, if any, that a primitive reads with several wrap modes outside the image, where they disagree.
+fn leaves_conflict(atlas: &Atlas, planned: &Planned) -> Option<usize> {
+    let outside = |p: u32| {
+        let own = atlas.faces().filter(|f| atlas.provenance[f.index()].primitive == p);
+        leaves_tile(own.flat_map(|f| atlas.uv_triangle(f)), planned.reference)
+    };
+    planned.conflicts.iter().find(|(p, _)| outside(*p)).map(|(_, image)| *image)
+}
+
 /// Whether a primitive is skinned or morphed.
-fn is_animated(doc: &Document, pointer: &str) -> bool {
-    let Some(primitive) = doc.json.pointer(pointer) else { return false };
+fn is_animated(primitive: &serde_json::Value) -> bool {
     let morphed = primitive["targets"].as_array().is_some_and(|t| !t.is_empty());
     morphed || primitive["attributes"].get("JOINTS_0").is_some()
 }
@@ -103,7 +114,7 @@ fn is_animated(doc: &Document, pointer: &str) -> bool {
 fn name(doc: &Document, scan: &Scan, planned: &Planned) -> String {
     let mut names: Vec<&str> = Vec::new();
     let mut length = 0;
-    let materials = planned.primitives.iter().flat_map(|&p| &scan.primitives[p].materials);
+    let materials = planned.primitives.iter().flat_map(|&(p, _)| &scan.primitives[p].materials);
     for name in materials.filter_map(|&m| scan.materials.get(m)?.name.as_deref()) {
         if !names.contains(&name) && length < LONGEST_NAME {
             length += name.chars().count();
@@ -123,6 +134,7 @@ mod tests {
     use crate::asset::fixture::{attribute, bowtie, document, mesh, png, primitive};
     use crate::asset::{RawAccessor, mark_uniform, small_slot_warning};
     use crate::error::{Code, Failure};
+    use crate::texture::Wrap;
     use serde_json::{Value, json};
 
     fn read_all(doc: &Document) -> (Result<Vec<TextureSet>>, Vec<String>) {
@@ -202,24 +214,22 @@ mod tests {
             left(&doc)
         };
         let info = "/materials/0/pbrMetallicRoughness/baseColorTexture";
-        let moved = json!({ "KHR_texture_transform": { "offset": [0.5, 0] } });
-        assert_eq!(change(&format!("{info}/extensions"), moved), ["texture_transform_unsupported /materials/0"]);
         assert_eq!(change(&format!("{info}/texCoord"), json!(1)), [format!("other_uv_set {info}")]);
-        let coat = json!({ "KHR_materials_clearcoat": { "clearcoatTexture": { "index": 1 } } });
-        let at = "/materials/0/extensions";
-        let expected = format!("material_extension_texture {at}/KHR_materials_clearcoat/clearcoatTexture");
-        assert_eq!(change(at, coat), [expected]);
-        assert_eq!(change("/materials/0/normalTexture", json!({ "index": 0 })), ["image_role_conflict /images/0"]);
+        let brushed = json!({ "KHR_materials_anisotropy": { "anisotropyStrength": 0.5 } });
+        let expected = "anisotropy_without_texture /materials/0";
+        assert_eq!(change("/materials/0/extensions", brushed), [expected]);
+        let huge = json!({ "KHR_texture_transform": { "scale": [1e300, 1e300], "offset": [1e308, 0] } });
+        assert_eq!(change(&format!("{info}/extensions"), huge), ["uv_out_of_range /images/0"]);
         let at = "/meshes/0/primitives/0/extensions";
         assert_eq!(change(at, json!({ "X_y": {} })), [format!("primitive_extension {at}/X_y")]);
         let at = "/meshes/0/primitives/0/targets";
         assert_eq!(change(at, json!([{ "TEXCOORD_0": 2 }])), [format!("texcoord_morph {at}")]);
-        let source = json!({ "KHR_texture_basisu": { "source": 1 } });
+        let source = json!({ "MSFT_texture_dds": { "source": 1 } });
         assert_eq!(change("/textures/0/extensions", source), ["texture_extension /textures/0/extensions"]);
         let target = json!({ "extensions": { "KHR_animation_pointer": {
             "pointer": "/materials/0/pbrMetallicRoughness/baseColorTexture/extensions/KHR_texture_transform/offset" } } });
         let animation = json!([{ "channels": [{ "target": target }] }]);
-        assert_eq!(change("/animations", animation), ["texture_transform_unsupported /materials/0"]);
+        assert_eq!(change("/animations", animation), ["animated_texture_transform /materials/0"]);
         let identity = json!({ "KHR_texture_transform": { "offset": [0, 0.0], "rotation": 0 } });
         let mut doc = model(&[[16, 8]]);
         doc.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] = identity;
@@ -232,22 +242,82 @@ mod tests {
     }
 
     #[test]
-    fn wrap_modes_may_differ_inside_the_image_only() {
-        for (shift, expected) in [(0.0, 1), (0.6, 0)] {
+    fn wrap_modes_may_differ_by_primitive_and_inside_the_image() {
+        for (shift, one) in [(0.0, true), (0.6, true), (0.0, false), (0.6, false)] {
             let mut doc = document(&[[16, 16]]);
             doc.json["samplers"] = json!([{ "wrapS": 33071 }]);
             doc.push("textures", json!({ "source": 0, "sampler": 0 }));
             doc.push("materials", json!({ "emissiveTexture": { "index": 1 } }));
-            let first = bowtie(&mut doc);
+            let mut first = bowtie(&mut doc);
             let mut second = first.clone();
             second["material"] = Value::from(1);
             let places = [[0.5, 0.5], [0.25, 0.75], [0.25, 0.25], [0.75, 0.25], [0.75, 0.75]];
             let uvs = attribute(&mut doc, &places.map(|[u, v]| [u + shift, v]));
             second["attributes"]["TEXCOORD_0"] = Value::from(uvs);
+            if one {
+                // The primitive that leaves the image reads it in both ways.
+                doc.json["materials"][1]["occlusionTexture"] = json!({ "index": 1 });
+                doc.json["materials"][1]["emissiveTexture"] = json!({ "index": 0 });
+                doc.json["materials"][1]["pbrMetallicRoughness"] = json!({ "baseColorTexture": { "index": 1 } });
+                first["material"] = Value::from(1);
+            }
             mesh(&mut doc, vec![first, second]);
             let (sets, warnings) = read_all(&doc);
-            assert_eq!((sets.unwrap().len(), warnings.len()), (expected, 1 - expected));
+            let sets = sets.unwrap();
+            if one && shift > 0.0 {
+                assert_eq!((sets.len(), warnings), (0, vec!["sampler_conflict /images/0".to_owned()]));
+                continue;
+            }
+            assert_eq!((sets.len(), warnings.len()), (1, 0));
+            if !one {
+                let wraps: Vec<_> =
+                    sets[0].slots[0].readings.iter().map(|r| (r.wrap[0], r.primitives.clone())).collect();
+                assert_eq!(wraps, [(Wrap::Repeat, vec![0]), (Wrap::ClampToEdge, vec![1])]);
+                // Clamped, its stretched texels stay its own.
+                let corner = sets[0].atlas.uv_triangle(FaceId::new(2))[0];
+                assert_eq!(corner, glam::DVec2::new((0.5 + f64::from(shift)) * 16.0, 8.0));
+            }
         }
+    }
+
+    #[test]
+    fn a_texture_transform_is_part_of_the_layout() {
+        let mut doc = model(&[[16, 8], [32, 32]]);
+        let moved = json!({ "KHR_texture_transform": { "offset": [0.5, 0.25], "scale": [0.5, 0.5], "texCoord": 0 } });
+        let info = json!({ "index": 1, "texCoord": 3, "extensions": moved });
+        doc.json["materials"][0]["emissiveTexture"] = info;
+        let (sets, warnings) = read_all(&doc);
+        let set = sets.unwrap().remove(0);
+        // The emissive image has more texels: its layout is refined, and the base colour keeps its own.
+        assert_eq!(warnings, ["other_texture_transform /materials/0/pbrMetallicRoughness/baseColorTexture"]);
+        let names: Vec<&str> = set.slots.iter().map(|s| s.name.as_str()).collect();
+        assert_eq!((names, set.reference), (vec!["emissive"], [32, 32]));
+        assert_eq!(set.atlas.uv[0], glam::DVec2::new(0.75 * 32.0, 0.5 * 32.0));
+        assert_eq!((set.primitives[0].layout.uv_set, set.primitives[0].written), (0, 1));
+        // Read in one way only, the set that is refined is written.
+        doc.json["materials"][0]["pbrMetallicRoughness"] = json!({});
+        let set = sets_of(&doc).remove(0);
+        assert_eq!((set.primitives[0].layout.uv_set, set.primitives[0].written), (0, 0));
+    }
+
+    #[test]
+    fn an_image_of_two_meanings_is_two_slots_and_extensions_have_slots() {
+        let mut doc = model(&[[16, 8], [16, 8]]);
+        doc.json["materials"][0]["normalTexture"] = json!({ "index": 0 });
+        doc.json["materials"][0]["occlusionTexture"] = json!({ "index": 1 });
+        doc.json["materials"][0]["extensions"] = json!({
+            "KHR_materials_clearcoat": { "clearcoatTexture": { "index": 1 } },
+            "KHR_materials_sheen": { "sheenColorTexture": { "index": 1 } },
+        });
+        let slots: Vec<_> = sets_of(&doc)[0].slots.iter().map(|s| (s.image, s.name.clone())).collect();
+        let expected = [(0, "base_color"), (0, "normal"), (1, "occlusion"), (1, "sheen_color")];
+        assert_eq!(slots, expected.map(|(i, name)| (i, name.to_owned())));
+        // What an unknown extension reads keeps the uploaded layout.
+        doc.json["materials"][0]["extensions"] = json!({ "ACME_grime": { "grimeTexture": { "index": 1 } } });
+        let (sets, warnings) = read_all(&doc);
+        assert_eq!(warnings, ["material_extension_texture /materials/0/extensions/ACME_grime/grimeTexture"]);
+        let set = sets.unwrap().remove(0);
+        assert_eq!((set.slots.len(), set.primitives[0].written), (3, 1));
     }
 
     #[test]

@@ -12,8 +12,14 @@ use super::uri::{self, quote};
 use crate::error::{Code, Failure, Result, Warning};
 
 /// `extensionsRequired` that are understood, beside every KHR_materials_*.
-const HANDLED: [&str; 4] =
-    ["KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "EXT_mesh_gpu_instancing"];
+const HANDLED: [&str; 6] = [
+    "EXT_mesh_gpu_instancing",
+    "EXT_texture_webp",
+    "KHR_lights_punctual",
+    "KHR_mesh_quantization",
+    "KHR_texture_basisu",
+    "KHR_texture_transform",
+];
 
 /// Whether an extension is understood, so that nothing in it can refer to buffers unseen.
 pub(crate) fn is_handled(extension: &str) -> bool {

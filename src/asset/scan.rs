@@ -6,6 +6,8 @@ use serde_json::Value;
 
 use super::Document;
 use super::json::{array, checked, index, object};
+use super::resolve::is_handled;
+use super::transform::{Layout, Transform};
 use crate::error::{Failure, Result};
 use crate::texture::{Alpha, Role, Wrap};
 
@@ -37,6 +39,8 @@ pub(crate) struct Material {
     pub(crate) alpha: Alpha,
     /// Whether an animation moves one of its texture transforms.
     pub(crate) animated: bool,
+    /// Whether its highlights follow the tangents by themselves, without a texture (KHR_materials_anisotropy).
+    pub(crate) brushed: bool,
 }
 
 /// One texture read by a material.
@@ -46,13 +50,14 @@ pub(crate) struct TextureUse {
     pub(crate) path: String,
     /// Index into `/textures`.
     pub(crate) texture: usize,
-    /// Number of the TEXCOORD set that it reads.
-    pub(crate) uv_set: usize,
-    /// What it means; none in a material extension.
+    /// The TEXCOORD set that it reads, and its texture transform.
+    pub(crate) layout: Layout,
+    /// What it means; none in an extension that is not known.
     pub(crate) role: Option<Role>,
-    /// Whether a texture transform other than the identity stands before it.
-    pub(crate) transformed: bool,
 }
+
+/// Extensions that give a texture its image; the core `source`, if any, stands in where they are not understood.
+pub(crate) const SOURCES: [&str; 2] = ["KHR_texture_basisu", "EXT_texture_webp"];
 
 /// A texture: image and sampler.
 #[derive(Debug, Clone, Default)]
@@ -65,7 +70,9 @@ pub(crate) struct Texture {
     pub(crate) wrap: [Wrap; 2],
     /// Whether minification reads mipmaps.
     pub(crate) mipmaps: bool,
-    /// Whether an extension gives another source.
+    /// The image for readers that do not know the extension that gives `image`.
+    pub(crate) fallback: Option<usize>,
+    /// Whether an extension that is not understood may give another source.
     pub(crate) extended: bool,
 }
 
@@ -102,22 +109,30 @@ pub(crate) fn primitive_pointer(mesh: usize, primitive: usize) -> String {
     format!("/meshes/{mesh}/primitives/{primitive}")
 }
 
-const SLOTS: [(&str, Role); 5] = [
+/// Where a material names its textures, below the material.
+const SLOTS: [(&str, Role); 21] = [
     ("/pbrMetallicRoughness/baseColorTexture", Role::BaseColor),
     ("/pbrMetallicRoughness/metallicRoughnessTexture", Role::MetallicRoughness),
     ("/normalTexture", Role::Normal),
     ("/occlusionTexture", Role::Occlusion),
     ("/emissiveTexture", Role::Emissive),
+    ("/extensions/KHR_materials_clearcoat/clearcoatTexture", Role::Clearcoat),
+    ("/extensions/KHR_materials_clearcoat/clearcoatRoughnessTexture", Role::ClearcoatRoughness),
+    ("/extensions/KHR_materials_clearcoat/clearcoatNormalTexture", Role::ClearcoatNormal),
+    ("/extensions/KHR_materials_sheen/sheenColorTexture", Role::SheenColor),
+    ("/extensions/KHR_materials_sheen/sheenRoughnessTexture", Role::SheenRoughness),
+    ("/extensions/KHR_materials_specular/specularTexture", Role::Specular),
+    ("/extensions/KHR_materials_specular/specularColorTexture", Role::SpecularColor),
+    ("/extensions/KHR_materials_transmission/transmissionTexture", Role::Transmission),
+    ("/extensions/KHR_materials_volume/thicknessTexture", Role::Thickness),
+    ("/extensions/KHR_materials_iridescence/iridescenceTexture", Role::Iridescence),
+    ("/extensions/KHR_materials_iridescence/iridescenceThicknessTexture", Role::IridescenceThickness),
+    ("/extensions/KHR_materials_anisotropy/anisotropyTexture", Role::Anisotropy),
+    ("/extensions/KHR_materials_diffuse_transmission/diffuseTransmissionTexture", Role::DiffuseTransmission),
+    ("/extensions/KHR_materials_diffuse_transmission/diffuseTransmissionColorTexture", Role::DiffuseTransmissionColor),
+    ("/extensions/KHR_materials_pbrSpecularGlossiness/diffuseTexture", Role::Diffuse),
+    ("/extensions/KHR_materials_pbrSpecularGlossiness/specularGlossinessTexture", Role::SpecularGlossiness),
 ];
-
-/// Extensions of which everything is known that matters here.
-fn is_handled(extension: &str) -> bool {
-    extension.starts_with("KHR_materials_")
-        || matches!(
-            extension,
-            "KHR_mesh_quantization" | "KHR_texture_transform" | "KHR_lights_punctual" | "EXT_mesh_gpu_instancing"
-        )
-}
 
 /// Reads materials, textures and primitives.
 ///
@@ -142,8 +157,14 @@ pub(crate) fn scan(doc: &Document) -> Result<Scan> {
     }
     let mut named = (BTreeSet::new(), BTreeSet::new());
     for (key, value) in json.as_object().into_iter().flatten() {
-        if key != "materials" {
+        if key != "materials" && key != "textures" {
             named_by_extensions(value, &mut named);
+        }
+    }
+    for texture in array(json, "textures") {
+        let extensions = object(texture, "extensions").into_iter().flatten();
+        for (_, value) in extensions.filter(|(name, _)| !SOURCES.contains(&name.as_str())) {
+            collect_names(value, &mut named);
         }
     }
     if let Some(extensions) = json.get("extensions") {
@@ -155,7 +176,20 @@ pub(crate) fn scan(doc: &Document) -> Result<Scan> {
 
 fn texture(json: &Value, i: usize, value: &Value) -> Result<Texture> {
     let pointer = format!("/textures/{i}");
-    let image = index(value, "source", array(json, "images").len(), &pointer)?;
+    let images = array(json, "images").len();
+    let mut image = index(value, "source", images, &pointer)?;
+    let mut fallback = None;
+    let extensions = object(value, "extensions");
+    for name in SOURCES {
+        if let Some(extension) = extensions.and_then(|e| e.get(name)) {
+            let given = index(extension, "source", images, &format!("{pointer}/extensions/{name}"))?;
+            if given.is_some() {
+                fallback = fallback.or(image);
+                image = given;
+                break;
+            }
+        }
+    }
     let samplers = array(json, "samplers");
     let sampler = index(value, "sampler", samplers.len(), &pointer)?;
     let settings = sampler.and_then(|s| samplers.get(s));
@@ -170,7 +204,8 @@ fn texture(json: &Value, i: usize, value: &Value) -> Result<Texture> {
         sampler,
         wrap: [wrap("wrapS"), wrap("wrapT")],
         mipmaps: !matches!(number("minFilter"), Some(9728 | 9729)),
-        extended: object(value, "extensions").is_some_and(|e| !e.is_empty()),
+        fallback,
+        extended: extensions.is_some_and(|e| e.keys().any(|k| !SOURCES.contains(&k.as_str()))),
     })
 }
 
@@ -185,13 +220,18 @@ fn material(value: &Value, textures: usize, i: usize) -> Result<Material> {
     if let Some(extensions) = value.get("extensions") {
         extension_uses(extensions, "/extensions", textures, &pointer, &mut uses)?;
     }
+    let anisotropy = value.pointer("/extensions/KHR_materials_anisotropy");
+    let brushed = anisotropy.is_some_and(|a| {
+        let strength = a.get("anisotropyStrength").and_then(Value::as_f64).unwrap_or(0.0);
+        strength != 0.0 && a.get("anisotropyTexture").is_none()
+    });
     let alpha = match value.get("alphaMode").and_then(Value::as_str) {
         Some("BLEND") => Alpha::Blend,
         Some("MASK") => Alpha::Mask(value.get("alphaCutoff").and_then(Value::as_f64).unwrap_or(0.5)),
         _ => Alpha::Opaque,
     };
     let name = value.get("name").and_then(Value::as_str).filter(|n| !n.is_empty()).map(str::to_owned);
-    Ok(Material { name, uses, alpha, animated: false })
+    Ok(Material { name, uses, alpha, animated: false, brushed })
 }
 
 fn texture_use(info: &Value, path: String, role: Option<Role>, textures: usize, pointer: &str) -> Result<TextureUse> {
@@ -199,29 +239,18 @@ fn texture_use(info: &Value, path: String, role: Option<Role>, textures: usize, 
     let texture = index(info, "index", textures, &at)?
         .ok_or_else(|| Failure::model("a texture is named without an index").at(at.clone()))?;
     let uv_set = index(info, "texCoord", 1 << 16, &at)?.unwrap_or(0);
-    let transform = info.pointer("/extensions/KHR_texture_transform");
-    let transformed = transform.is_some_and(|t| !is_identity(t));
-    Ok(TextureUse { path, texture, uv_set, role, transformed })
+    let (transform, other) = Transform::of(info, &at)?;
+    Ok(TextureUse { path, texture, layout: Layout { uv_set: other.unwrap_or(uv_set), transform }, role })
 }
 
-/// Whether a texture transform changes nothing. One that names another TEXCOORD set does.
-fn is_identity(transform: &Value) -> bool {
-    let pair = |key: &str, wanted: f64| {
-        transform
-            .get(key)
-            .is_none_or(|v| v.as_array().is_some_and(|a| a.len() == 2 && a.iter().all(|x| x.as_f64() == Some(wanted))))
-    };
-    let turn = transform.get("rotation").is_none_or(|r| r.as_f64() == Some(0.0));
-    pair("offset", 0.0) && pair("scale", 1.0) && turn && transform.get("texCoord").is_none()
-}
-
-/// Every `…Texture: {index}` below a material's extensions.
+/// Every `…Texture: {index}` below a material's extensions that is not one of [`SLOTS`].
 fn extension_uses(value: &Value, path: &str, textures: usize, pointer: &str, uses: &mut Vec<TextureUse>) -> Result<()> {
     match value {
         Value::Object(map) => {
             for (key, child) in map {
                 let below = format!("{path}/{}", key.replace('~', "~0").replace('/', "~1"));
-                if key.ends_with("exture") && child.get("index").is_some_and(Value::is_u64) {
+                let known = SLOTS.iter().any(|(slot, _)| *slot == below);
+                if !known && key.ends_with("exture") && child.get("index").is_some_and(Value::is_u64) {
                     uses.push(texture_use(child, below.clone(), None, textures, pointer)?);
                 }
                 extension_uses(child, &below, textures, pointer, uses)?;

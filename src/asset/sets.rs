@@ -2,28 +2,29 @@
 //!
 //! Primitives (with the TEXCOORD set that is refined) and the images that their materials, variants
 //! included, read through it are the nodes of a graph; its connected components are the texture sets.
-//! What cannot be refined yet leaves by name, with a warning, and stays as it was uploaded.
+//! What cannot be refined leaves by name, with a warning, and stays as it was uploaded.
 
 use std::collections::BTreeMap;
 
 use super::json::{array, object};
 use super::scan::{Primitive, Scan, Texture, TextureUse};
-use super::{Document, Slot, TextureSet};
+use super::transform::{Layout, Transform};
+use super::{Document, Reading, Slot, TextureSet};
 use crate::context::Context;
 use crate::error::{Result, Warning};
-use crate::texture::{Alpha, Header, Role, Wrap, header};
+use crate::texture::{Alpha, Header, Role, header};
 
 /// A texture set before its geometry is read.
 #[derive(Debug)]
 pub(crate) struct Planned {
-    /// Indices into the scan's primitives, ascending.
-    pub(crate) primitives: Vec<usize>,
+    /// Indices into the scan's primitives, ascending, and the layout of each that is refined.
+    pub(crate) primitives: Vec<(usize, Layout)>,
     /// Its images; empty for a virtual page.
     pub(crate) slots: Vec<Slot>,
     /// Size of the largest slot.
     pub(crate) reference: [u32; 2],
-    /// The first image, if any, that is read with several wrap modes: they agree only inside the image.
-    pub(crate) conflict: Option<usize>,
+    /// Primitives that read an image with several wrap modes, by position in `primitives`, with the image: they agree only inside it.
+    pub(crate) conflicts: Vec<(u32, usize)>,
 }
 
 /// Sheet of a set without images.
@@ -32,34 +33,92 @@ const VIRTUAL_SHEET: [u32; 2] = [1024, 1024];
 /// Primitive extensions that only read vertices, so that new ones may be added beside what they read.
 const READERS: [&str; 2] = ["EXT_mesh_features", "EXT_structural_metadata"];
 
-/// Forms the texture sets of layout `uv_set`, in the order of their first primitive.
+/// Forms the texture sets of TEXCOORD_`uv_set`, in the order of their first primitive.
 ///
 /// # Errors
 /// None but those of the context; what cannot be refined is a warning.
 pub(crate) fn plan(doc: &Document, scan: &Scan, uv_set: usize, context: &Context) -> Result<Vec<Planned>> {
     context.check()?;
-    let candidates: Vec<usize> =
-        (0..scan.primitives.len()).filter(|&p| is_candidate(doc, scan, &scan.primitives[p], uv_set, context)).collect();
+    let mut chooser = Chooser { doc, scan, uv_set, texels: BTreeMap::new() };
+    let mut candidates: Vec<(usize, Layout)> = Vec::new();
+    for (p, primitive) in scan.primitives.iter().enumerate() {
+        if is_open(doc, primitive, uv_set, context) {
+            let layout = chooser.layout(primitive);
+            if may_change(doc, scan, primitive, layout, context) {
+                candidates.push((p, layout));
+            }
+        }
+    }
     let mut sets = Vec::new();
-    for (primitives, images) in components(scan, &candidates, uv_set) {
-        if let Some(set) = planned(doc, scan, primitives, &images, uv_set, context) {
+    for (primitives, images) in components(scan, &candidates) {
+        if let Some(set) = planned(doc, scan, primitives, &images, context) {
             sets.push(set);
         }
     }
     if sets.is_empty() && array(&doc.json, "images").is_empty() && !candidates.is_empty() {
-        sets.push(Planned { primitives: candidates, slots: Vec::new(), reference: VIRTUAL_SHEET, conflict: None });
+        let (slots, conflicts) = (Vec::new(), Vec::new());
+        sets.push(Planned { primitives: candidates, slots, reference: VIRTUAL_SHEET, conflicts });
     }
     Ok(sets)
 }
 
-/// The uses of a material that are refined with layout `uv_set`.
-pub(crate) fn refined_uses(scan: &Scan, material: usize, uv_set: usize) -> impl Iterator<Item = &TextureUse> {
-    let uses = scan.materials.get(material).map_or(&[][..], |m| &m.uses);
-    uses.iter().filter(move |u| u.uv_set == uv_set && u.role.is_some())
+/// The uses of a material that are refined with a layout.
+pub(crate) fn refined_uses(scan: &Scan, material: usize, layout: Layout) -> impl Iterator<Item = &TextureUse> {
+    all_uses(scan, material).iter().filter(move |u| u.layout == layout && u.role.is_some())
 }
 
-/// Whether a primitive has triangles with UVs and nothing that stands in the way.
-fn is_candidate(doc: &Document, scan: &Scan, primitive: &Primitive, uv_set: usize, context: &Context) -> bool {
+fn all_uses(scan: &Scan, material: usize) -> &[TextureUse] {
+    scan.materials.get(material).map_or(&[], |m| &m.uses)
+}
+
+/// The TEXCOORD set that takes the new layout of a primitive: the refined one, or a new one where something else reads it on.
+pub(crate) fn written_set(scan: &Scan, value: &serde_json::Value, materials: &[usize], layout: Layout) -> usize {
+    let read_on = |u: &TextureUse| u.layout.uv_set == layout.uv_set && (u.layout != layout || u.role.is_none());
+    let extended = object(value, "extensions").is_some_and(|e| e.keys().any(|k| k != "KHR_materials_variants"));
+    if extended || materials.iter().any(|&m| all_uses(scan, m).iter().any(read_on)) {
+        let names = object(value, "attributes").into_iter().flat_map(|a| a.keys());
+        let last = names.filter_map(|n| n.strip_prefix("TEXCOORD_")?.parse::<usize>().ok()).max();
+        return last.unwrap_or(0).saturating_add(1);
+    }
+    layout.uv_set
+}
+
+/// Chooses the texture transform that is refined where a TEXCOORD set is read through several: the one with the most texels.
+struct Chooser<'a> {
+    doc: &'a Document,
+    scan: &'a Scan,
+    uv_set: usize,
+    /// By image; 0 where it cannot be read.
+    texels: BTreeMap<usize, u64>,
+}
+
+impl Chooser<'_> {
+    fn layout(&mut self, primitive: &Primitive) -> Layout {
+        let (scan, uv_set) = (self.scan, self.uv_set);
+        let uses = primitive.materials.iter().flat_map(|&m| all_uses(scan, m));
+        let mut found: Vec<(Transform, u64)> = Vec::new();
+        for used in uses.filter(|u| u.role.is_some() && u.layout.uv_set == uv_set) {
+            let image = self.scan.textures.get(used.texture).and_then(|t| t.image);
+            let texels = image.map_or(0, |image| self.texels_of(image));
+            match found.iter_mut().find(|(t, _)| *t == used.layout.transform) {
+                Some((_, sum)) => *sum = sum.saturating_add(texels),
+                None => found.push((used.layout.transform, texels)),
+            }
+        }
+        // The first of the largest: the order of uses is that of roles.
+        let best = found.into_iter().reduce(|a, b| if b.1 > a.1 { b } else { a });
+        Layout { uv_set, transform: best.map_or(Transform::IDENTITY, |b| b.0) }
+    }
+
+    fn texels_of(&mut self, image: usize) -> u64 {
+        let bytes = self.doc.images.get(image).and_then(Option::as_ref);
+        let read = || bytes.and_then(|b| header(b).ok()).map_or(0, |h| u64::from(h.width) * u64::from(h.height));
+        *self.texels.entry(image).or_insert_with(read)
+    }
+}
+
+/// Whether a primitive has triangles with UVs and nothing of its own that stands in the way.
+fn is_open(doc: &Document, primitive: &Primitive, uv_set: usize, context: &Context) -> bool {
     let pointer = primitive.pointer();
     let Some(value) = doc.json.pointer(&pointer) else { return false };
     let name = format!("TEXCOORD_{uv_set}");
@@ -79,41 +138,63 @@ fn is_candidate(doc: &Document, scan: &Scan, primitive: &Primitive, uv_set: usiz
         context.warn(Warning::new("texcoord_morph", text).at(format!("{pointer}/targets")));
         return false;
     }
+    true
+}
+
+/// Whether the materials of a primitive let its layout change; says which of their textures keep theirs.
+fn may_change(doc: &Document, scan: &Scan, primitive: &Primitive, layout: Layout, context: &Context) -> bool {
+    let attributes = doc.json.pointer(&format!("{}/attributes", primitive.pointer()));
+    let has_tangents = attributes.is_some_and(|a| a.get("TANGENT").is_some());
     let mut free = true;
     for &m in &primitive.materials {
         let Some(material) = scan.materials.get(m) else { continue };
-        if material.animated || material.uses.iter().any(|u| u.transformed) {
-            let text = "the material is left as it is: texture transforms are not supported yet";
-            context.warn(Warning::new("texture_transform_unsupported", text).at(format!("/materials/{m}")));
+        let at = |used: &TextureUse| format!("/materials/{m}{}", used.path);
+        let mut left = |code: &str, text: &str| {
+            let text = format!("the material is left as it is: {text}");
+            context.warn(Warning::new(code, text).at(format!("/materials/{m}")));
             free = false;
+        };
+        if material.animated {
+            left("animated_texture_transform", "an animation moves one of its texture transforms");
         }
-        for other in material.uses.iter().filter(|u| u.uv_set != uv_set) {
-            let text =
-                format!("the texture keeps its layout: it reads TEXCOORD_{}, not TEXCOORD_{uv_set}", other.uv_set);
-            context.warn(Warning::new("other_uv_set", text).at(format!("/materials/{m}{}", other.path)));
+        let directions = material.uses.iter().filter(|u| u.role.is_some_and(|r| r.is_direction()));
+        let (ours, others): (Vec<_>, Vec<_>) = directions.partition(|u| u.layout == layout);
+        if !ours.is_empty() && !others.is_empty() {
+            left(
+                "directions_on_two_layouts",
+                "its directions are read through two layouts, and have one tangent space",
+            );
         }
-        extension_texture(scan, m, uv_set, context);
+        if material.brushed && (!ours.is_empty() || !has_tangents) {
+            let text = "its anisotropy has no texture that could turn with the charts";
+            left("anisotropy_without_texture", text);
+        }
+        for used in material.uses.iter().filter(|u| u.layout != layout || u.role.is_none()) {
+            let (code, text) = if used.layout.uv_set != layout.uv_set {
+                let (own, refined) = (used.layout.uv_set, layout.uv_set);
+                (
+                    "other_uv_set",
+                    format!("the texture keeps its layout: it reads TEXCOORD_{own}, not TEXCOORD_{refined}"),
+                )
+            } else if used.role.is_none() {
+                let text = "the texture keeps its layout: it belongs to an extension that is not known";
+                ("material_extension_texture", text.to_owned())
+            } else {
+                let text = "the texture keeps its layout: it is read through another texture transform";
+                ("other_texture_transform", text.to_owned())
+            };
+            context.warn(Warning::new(code, text).at(at(used)));
+        }
     }
     free
 }
 
-/// Warns of a texture that a material extension reads with layout `uv_set`.
-fn extension_texture(scan: &Scan, m: usize, uv_set: usize, context: &Context) -> bool {
-    let uses = scan.materials.get(m).map_or(&[][..], |m| &m.uses);
-    let found = uses.iter().find(|u| u.role.is_none() && u.uv_set == uv_set);
-    if let Some(found) = found {
-        let text = "the texture set is left as it is: textures of material extensions are not supported yet";
-        context.warn(Warning::new("material_extension_texture", text).at(format!("/materials/{m}{}", found.path)));
-    }
-    found.is_some()
-}
-
 /// Connected components with at least one image, by first primitive: primitives and images, ascending.
-fn components(scan: &Scan, candidates: &[usize], uv_set: usize) -> Vec<(Vec<usize>, Vec<usize>)> {
+fn components(scan: &Scan, candidates: &[(usize, Layout)]) -> Vec<(Vec<(usize, Layout)>, Vec<usize>)> {
     let mut forest = Forest((0..candidates.len()).collect());
     let mut first_reader: BTreeMap<usize, usize> = BTreeMap::new();
-    for (i, &p) in candidates.iter().enumerate() {
-        for image in images_of(scan, &scan.primitives[p], uv_set) {
+    for (i, &(p, layout)) in candidates.iter().enumerate() {
+        for image in images_of(scan, &scan.primitives[p], layout) {
             let reader = *first_reader.entry(image).or_insert(i);
             forest.join(i, reader);
         }
@@ -122,16 +203,16 @@ fn components(scan: &Scan, candidates: &[usize], uv_set: usize) -> Vec<(Vec<usiz
     for (&image, &reader) in &first_reader {
         images.entry(forest.root(reader)).or_default().push(image);
     }
-    let mut primitives: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for (i, &p) in candidates.iter().enumerate() {
-        primitives.entry(forest.root(i)).or_default().push(p);
+    let mut primitives: BTreeMap<usize, Vec<(usize, Layout)>> = BTreeMap::new();
+    for (i, &candidate) in candidates.iter().enumerate() {
+        primitives.entry(forest.root(i)).or_default().push(candidate);
     }
     // A root is its component's first primitive, so that the order of the map is the one wanted.
     images.into_iter().filter_map(|(root, images)| Some((primitives.remove(&root)?, images))).collect()
 }
 
-fn images_of(scan: &Scan, primitive: &Primitive, uv_set: usize) -> Vec<usize> {
-    let uses = primitive.materials.iter().flat_map(|&m| refined_uses(scan, m, uv_set));
+fn images_of(scan: &Scan, primitive: &Primitive, layout: Layout) -> Vec<usize> {
+    let uses = primitive.materials.iter().flat_map(|&m| refined_uses(scan, m, layout));
     uses.filter_map(|u| scan.textures.get(u.texture)?.image).collect()
 }
 
@@ -156,17 +237,15 @@ impl Forest {
 fn planned(
     doc: &Document,
     scan: &Scan,
-    primitives: Vec<usize>,
+    primitives: Vec<(usize, Layout)>,
     images: &[usize],
-    uv_set: usize,
     context: &Context,
 ) -> Option<Planned> {
     let mut blocked = false;
-    let mut readers: BTreeMap<usize, Readers> = BTreeMap::new();
-    for (i, &p) in primitives.iter().enumerate() {
+    let mut readers: BTreeMap<(usize, Class), Readers> = BTreeMap::new();
+    for (i, &(p, layout)) in primitives.iter().enumerate() {
         for &m in &scan.primitives[p].materials {
-            blocked |= extension_texture(scan, m, uv_set, context);
-            for used in refined_uses(scan, m, uv_set) {
+            for used in refined_uses(scan, m, layout) {
                 let Some(texture) = scan.textures.get(used.texture) else { continue };
                 if texture.extended {
                     let text = "the texture set is left as it is: an extension gives the texture another source";
@@ -175,15 +254,15 @@ fn planned(
                     blocked = true;
                 }
                 if let (Some(image), Some(role)) = (texture.image, used.role) {
-                    readers.entry(image).or_default().add(i as u32, role, texture, scan.materials[m].alpha);
+                    let alpha = scan.materials[m].alpha;
+                    readers.entry((image, class(role))).or_default().add(i as u32, role, texture, alpha);
                 }
             }
         }
     }
-    let (mut slots, mut conflict) = (Vec::new(), None);
-    for &image in images {
-        let readers = readers.remove(&image).unwrap_or_default();
-        conflict = conflict.or((readers.wraps.len() > 1).then_some(image));
+    let (mut slots, mut conflicts) = (Vec::new(), Vec::new());
+    for ((image, _), readers) in readers.into_iter().filter(|((image, _), _)| images.contains(image)) {
+        conflicts.extend(readers.conflicts().map(|p| (p, image)));
         match slot(doc, image, readers) {
             Ok(slot) => slots.push(slot),
             Err(warning) => {
@@ -206,34 +285,52 @@ fn planned(
     let size = |h: &Header| u64::from(h.width) * u64::from(h.height);
     let largest = slots.iter().map(|s| &s.header).reduce(|a, b| if size(b) > size(a) { b } else { a });
     let reference = largest.map_or(VIRTUAL_SHEET, |h| [h.width, h.height]);
-    Some(Planned { primitives, slots, reference, conflict })
+    Some(Planned { primitives, slots, reference, conflicts })
+}
+
+/// What decides how texels are filtered: whether they are sRGB-encoded, and the kind of direction. An image that is read as
+/// several is a slot of each.
+type Class = (bool, u8);
+
+/// The class of a role.
+pub(crate) fn class(role: Role) -> Class {
+    let kind = if role == Role::Anisotropy { 2 } else { u8::from(role.is_direction()) };
+    (role.is_srgb(), kind)
 }
 
 /// What the readers of one image say of it, in order.
 #[derive(Default)]
 struct Readers {
-    primitives: Vec<u32>,
     roles: Vec<Role>,
-    wraps: Vec<[Wrap; 2]>,
+    readings: Vec<Reading>,
     mipmaps: bool,
     alphas: Vec<Alpha>,
 }
 
 impl Readers {
     fn add(&mut self, primitive: u32, role: Role, texture: &Texture, alpha: Alpha) {
-        if self.primitives.last() != Some(&primitive) {
-            self.primitives.push(primitive);
-        }
         self.mipmaps |= texture.mipmaps;
         if !self.roles.contains(&role) {
             self.roles.push(role);
         }
-        if !self.wraps.contains(&texture.wrap) {
-            self.wraps.push(texture.wrap);
+        match self.readings.iter_mut().find(|r| r.wrap == texture.wrap) {
+            Some(reading) if reading.primitives.last() == Some(&primitive) => {}
+            Some(reading) => reading.primitives.push(primitive),
+            None => self.readings.push(Reading { wrap: texture.wrap, primitives: vec![primitive] }),
         }
-        if role == Role::BaseColor && self.alphas.len() < 64 && !self.alphas.contains(&alpha) {
+        let coloured = matches!(role, Role::BaseColor | Role::Diffuse);
+        if coloured && self.alphas.len() < 64 && !self.alphas.contains(&alpha) {
             self.alphas.push(alpha);
         }
+    }
+
+    /// Primitives that read the image with several wrap modes.
+    fn conflicts(&self) -> impl Iterator<Item = u32> {
+        let mut all: Vec<u32> = self.readings.iter().flat_map(|r| r.primitives.iter().copied()).collect();
+        all.sort_unstable();
+        let mut twice: Vec<u32> = all.windows(2).filter(|w| w[0] == w[1]).map(|w| w[0]).collect();
+        twice.dedup();
+        twice.into_iter()
     }
 }
 
@@ -245,20 +342,24 @@ fn slot(doc: &Document, image: usize, mut readers: Readers) -> std::result::Resu
     let bytes = bytes.ok_or_else(|| Warning::new("missing_image", format!("{left} the image is missing")).at(&*at))?;
     let header = header(bytes).map_err(|e| Warning::new("invalid_image", format!("{left} {}", e.message)).at(&*at))?;
     readers.roles.sort_unstable();
-    let role = readers.roles.first().copied().unwrap_or(Role::BaseColor);
-    if readers.roles.iter().any(|r| (r.is_srgb(), r.is_direction()) != (role.is_srgb(), role.is_direction())) {
-        let text = format!("{left} the image is read both as {} and as other data", role.as_str());
-        return Err(Warning::new("image_role_conflict", text).at(at));
+    let mut primitives: Vec<u32> = readers.readings.iter().flat_map(|r| r.primitives.iter().copied()).collect();
+    primitives.sort_unstable();
+    primitives.dedup();
+    // Who reads an image with several wrap modes reads it inside: the first serves.
+    let mut seen = std::collections::BTreeSet::new();
+    for reading in &mut readers.readings {
+        reading.primitives.retain(|p| seen.insert(*p));
     }
+    readers.readings.retain(|r| !r.primitives.is_empty());
     Ok(Slot {
         image,
-        role,
+        role: readers.roles.first().copied().unwrap_or(Role::BaseColor),
         name: String::new(),
         header,
-        wrap: readers.wraps.first().copied().unwrap_or_default(),
+        readings: readers.readings,
         mipmaps: readers.mipmaps,
         alpha: common_alpha(&readers.alphas),
-        primitives: readers.primitives,
+        primitives,
         exempt: false,
     })
 }

@@ -12,7 +12,7 @@ use super::importance::Importance;
 use crate::asset::{Slot, TextureSet, grid};
 use crate::atlas::{Atlas, FaceId, Provenance, Surface, UvId, VertexId};
 use crate::error::{Failure, Result, Warning};
-use crate::texture::{Alpha, Format, Header, Wrap};
+use crate::texture::{Alpha, Format, Header};
 
 /// Sheets are placed at multiples of this many texels, and of what keeps the texels of every slot whole.
 const STEP: u32 = 16;
@@ -85,9 +85,9 @@ impl Group {
         self.members.iter().filter_map(move |m| Some((m, m.slots.iter().position(|s| *s == Some(slot))?)))
     }
 
-    /// The primitives of a slot of a member, as the group numbers them.
-    pub fn primitives(member: &Member, slot: &Slot) -> Vec<u32> {
-        slot.primitives.iter().map(|p| p + member.first_primitive as u32).collect()
+    /// Primitives of a member, as the group numbers them.
+    pub fn primitives(member: &Member, own: &[u32]) -> Vec<u32> {
+        own.iter().map(|p| p + member.first_primitive as u32).collect()
     }
 
     /// Warnings due to slots whose texels are coarser than those of other members.
@@ -318,10 +318,10 @@ fn join_slots(members: &mut [Member], reference: [u32; 2]) -> Vec<Slot> {
             role,
             name,
             header,
-            wrap: [Wrap::ClampToEdge; 2],
+            readings: Vec::new(),
             mipmaps: all().any(|(_, s)| s.mipmaps),
             alpha: common_alpha(&all().map(|(_, s)| s.alpha).collect::<Vec<_>>()),
-            primitives: all().flat_map(|(m, s)| Group::primitives(m, s)).collect(),
+            primitives: all().flat_map(|(m, s)| Group::primitives(m, &s.primitives)).collect(),
             exempt: false,
         };
         for &(m, s) in &own {

@@ -115,12 +115,17 @@ fn bake_slot(
     let set = group.set();
     let pointer = format!("/images/{}", slot.image);
     let images = source_images(loaded, group, index, slot, max_pixels)?;
-    let readers: Vec<Vec<u32>> = group.sources(index).map(|(m, s)| Group::primitives(m, &m.set.slots[s])).collect();
+    // By source: its readers with equal wrap modes.
+    let readers: Vec<Vec<([Wrap; 2], Vec<u32>)>> = group
+        .sources(index)
+        .map(|(m, s)| m.set.slots[s].readings.iter().map(|r| (r.wrap, Group::primitives(m, &r.primitives))).collect())
+        .collect();
     let mut sources: Vec<Source<'_>> = Vec::new();
-    for (((member, own), image), primitives) in group.sources(index).zip(&images).zip(&readers) {
-        let own = &member.set.slots[own];
-        let (wrap, alpha, sheet, place) = (own.wrap, own.alpha, member.set.reference, member.place);
-        sources.push(Source { image, wrap, alpha, primitives, sheet, place, neutral: false });
+    for (((member, own), image), readers) in group.sources(index).zip(&images).zip(&readers) {
+        let (alpha, sheet, place) = (member.set.slots[own].alpha, member.set.reference, member.place);
+        for (wrap, primitives) in readers {
+            sources.push(Source { image, wrap: *wrap, alpha, primitives, sheet, place, neutral: false });
+        }
     }
     // Faces of sets that do not have the slot.
     let neutral = Image::neutral(slot.role, slot.header.channels, slot.header.depth);

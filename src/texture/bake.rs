@@ -60,7 +60,7 @@ pub struct Source<'a> {
 }
 
 impl<'a> Bake<'a> {
-    /// A slot that is one image, which fills the sheet `reference`.
+    /// A slot that is one image with one reading, which fills the sheet `reference`.
     pub fn single(
         before: &'a Atlas,
         after: &'a Atlas,
@@ -71,7 +71,7 @@ impl<'a> Bake<'a> {
     ) -> Self {
         let source = Source {
             image,
-            wrap: slot.wrap,
+            wrap: slot.readings.first().map_or([Wrap::default(); 2], |r| r.wrap),
             alpha: slot.alpha,
             primitives: &slot.primitives,
             sheet: reference,

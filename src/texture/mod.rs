@@ -37,6 +37,38 @@ pub enum Role {
     Occlusion,
     /// sRGB colour.
     Emissive,
+    /// Linear data in R (KHR_materials_clearcoat).
+    Clearcoat,
+    /// Linear data in G (KHR_materials_clearcoat).
+    ClearcoatRoughness,
+    /// Tangent-space normals (KHR_materials_clearcoat).
+    ClearcoatNormal,
+    /// sRGB colour (KHR_materials_sheen).
+    SheenColor,
+    /// Linear data in A (KHR_materials_sheen).
+    SheenRoughness,
+    /// Linear data in A (KHR_materials_specular).
+    Specular,
+    /// sRGB colour (KHR_materials_specular).
+    SpecularColor,
+    /// Linear data in R (KHR_materials_transmission).
+    Transmission,
+    /// Linear data in G (KHR_materials_volume).
+    Thickness,
+    /// Linear data in R (KHR_materials_iridescence).
+    Iridescence,
+    /// Linear data in G (KHR_materials_iridescence).
+    IridescenceThickness,
+    /// A direction in the tangent plane in RG, linear strength in B (KHR_materials_anisotropy).
+    Anisotropy,
+    /// Linear data in A (KHR_materials_diffuse_transmission).
+    DiffuseTransmission,
+    /// sRGB colour (KHR_materials_diffuse_transmission).
+    DiffuseTransmissionColor,
+    /// sRGB colour, alpha linear (KHR_materials_pbrSpecularGlossiness).
+    Diffuse,
+    /// sRGB colour, glossiness linear in A (KHR_materials_pbrSpecularGlossiness).
+    SpecularGlossiness,
 }
 
 impl Role {
@@ -48,17 +80,39 @@ impl Role {
             Role::Normal => "normal",
             Role::Occlusion => "occlusion",
             Role::Emissive => "emissive",
+            Role::Clearcoat => "clearcoat",
+            Role::ClearcoatRoughness => "clearcoat_roughness",
+            Role::ClearcoatNormal => "clearcoat_normal",
+            Role::SheenColor => "sheen_color",
+            Role::SheenRoughness => "sheen_roughness",
+            Role::Specular => "specular",
+            Role::SpecularColor => "specular_color",
+            Role::Transmission => "transmission",
+            Role::Thickness => "thickness",
+            Role::Iridescence => "iridescence",
+            Role::IridescenceThickness => "iridescence_thickness",
+            Role::Anisotropy => "anisotropy",
+            Role::DiffuseTransmission => "diffuse_transmission",
+            Role::DiffuseTransmissionColor => "diffuse_transmission_color",
+            Role::Diffuse => "diffuse",
+            Role::SpecularGlossiness => "specular_glossiness",
         }
     }
 
     /// Whether the colour channels are sRGB-encoded.
     pub fn is_srgb(self) -> bool {
-        matches!(self, Role::BaseColor | Role::Emissive)
+        use Role::{
+            BaseColor, Diffuse, DiffuseTransmissionColor, Emissive, SheenColor, SpecularColor, SpecularGlossiness,
+        };
+        matches!(
+            self,
+            BaseColor | Emissive | SheenColor | SpecularColor | DiffuseTransmissionColor | Diffuse | SpecularGlossiness
+        )
     }
 
     /// Whether the texels are directions that turn with their chart.
     pub fn is_direction(self) -> bool {
-        self == Role::Normal
+        matches!(self, Role::Normal | Role::ClearcoatNormal | Role::Anisotropy)
     }
 }
 
@@ -117,6 +171,10 @@ impl Format {
             Format::Png => "png",
             Format::Jpeg => "jpg",
         }
+    }
+    /// Whether a texture names an image of this format by an extension only.
+    pub fn needs_extension(self) -> bool {
+        false
     }
     /// Media type.
     pub fn media_type(self) -> &'static str {

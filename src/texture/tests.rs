@@ -5,7 +5,7 @@ use glam::{DMat2, DVec2, DVec3};
 use super::direction::Turn;
 use super::encode::tests::picture;
 use super::*;
-use crate::asset::Slot;
+use crate::asset::{Reading, Slot};
 use crate::atlas::{Atlas, FaceId, Provenance, Surface, UvId, VertexId};
 use crate::context::Context;
 
@@ -82,7 +82,7 @@ pub(super) fn slot(role: Role, image: &Image) -> Slot {
         role,
         name: role.as_str().to_owned(),
         header,
-        wrap: [Wrap::ClampToEdge; 2],
+        readings: vec![Reading { wrap: [Wrap::ClampToEdge; 2], primitives: vec![0] }],
         mipmaps: false,
         alpha: Alpha::Opaque,
         primitives: vec![0],
@@ -145,7 +145,7 @@ fn every_footprint_of_a_chart_moved_by_whole_texels_is_the_uploaded_one() {
             placed.push((faces..charts.before.face_count(), turn, shift));
         }
         let mut slot = slot(Role::BaseColor, &image);
-        slot.wrap = [wraps[random.below(3) as usize], wraps[random.below(3) as usize]];
+        slot.readings[0].wrap = [wraps[random.below(3) as usize], wraps[random.below(3) as usize]];
         let job = charts.bake(&slot, &image);
         let baked = bake(&job, &Context::silent()).unwrap();
         assert!(baked.verbatim_face.iter().all(|v| *v), "seed {seed}");
@@ -161,7 +161,8 @@ fn every_footprint_of_a_chart_moved_by_whole_texels_is_the_uploaded_one() {
                     for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
                         let new = base + DVec2::new(dx, dy);
                         let old = (turn.matrix() * (new + 0.5) + shift).floor();
-                        let old = [slot.wrap[0].texel(old.x as i64, 61), slot.wrap[1].texel(old.y as i64, 47)];
+                        let wrap = slot.readings[0].wrap;
+                        let old = [wrap[0].texel(old.x as i64, 61), wrap[1].texel(old.y as i64, 47)];
                         let found = texel(out, new.x as i64, new.y as i64);
                         assert_eq!(found, texel(&image, old[0], old[1]), "seed {seed}, face {face}, {q}");
                     }

@@ -4,6 +4,7 @@
 
 mod attributes;
 mod blend;
+mod extensions;
 mod read_back;
 mod skin;
 mod tangents;
@@ -20,12 +21,12 @@ use serde_json::Value;
 pub use read_back::read_back;
 
 use self::attributes::{Attributes, emit};
-use self::textures::Textures;
+use self::textures::{Owner, Textures};
 use self::vertices::{Points, Pool, Vertices};
 use super::accessor::RawAccessor;
 use super::append::ELEMENT_ARRAY_BUFFER;
 use super::geometry::vertex_count;
-use super::json::{array, array_mut, object, object_mut};
+use super::json::{array, array_mut, object_mut};
 use super::scan::{primitive_pointer, scan};
 use super::{Document, PrimitiveRef, TextureSet};
 use crate::atlas::{Atlas, FaceId};
@@ -78,28 +79,29 @@ pub fn write(doc: &Document, sets: &[Refined<'_>], context: &Context) -> Result<
     for members in pools(doc, sets)? {
         context.check()?;
         let make_tangents = members.iter().any(|&(s, p)| lost[s][p]);
-        let (vertices, attributes, layout) = pool(doc, &mut out, sets, &members, &faces, &mut points, make_tangents)?;
+        let (vertices, attributes) = pool(doc, &mut out, sets, &members, &faces, &mut points, make_tangents)?;
         let mut start = 0;
         for &(s, p) in &members {
             let own = faces[s][p].len();
             let triangles = vertices.triangles.get(start..start + own).unwrap_or_default().to_vec();
             start += own;
-            written.insert((s, p), Written { triangles, attributes: attributes.clone(), uv_set: layout[1] });
+            written.insert((s, p), Written { triangles, attributes: attributes.clone() });
         }
     }
     // In the order of sets, so that `read_back` can tell which appended primitive is whose.
     for ((s, p), primitive) in written {
         context.check()?;
-        let (refined, owner) = (&sets[s], (s, sets[s].set.primitives[p].uv_set));
+        let (refined, owner) = (&sets[s], Owner::of(sets, s, p));
         for (n, page) in pages(refined.atlas, &faces[s][p]).into_iter().enumerate() {
             let target = place(doc, &mut out, refined, p, n)?;
             let on_page = faces[s][p].iter().zip(&primitive.triangles);
             let triangles = on_page.filter(|(f, _)| refined.atlas.page[f.index()] == page).map(|(_, t)| *t).collect();
             set_geometry(&mut out, &target, &refined.set.primitives[p], triangles, &primitive)?;
-            set_materials(doc, &mut out, &mut textures, &target, owner, usize::from(page), primitive.uv_set)?;
+            set_materials(doc, &mut out, &mut textures, &target, owner, usize::from(page))?;
         }
     }
     textures.drop_replaced(&mut out);
+    extensions::declare(&doc.json, &mut out.json);
     Ok(out)
 }
 
@@ -108,8 +110,6 @@ struct Written {
     /// Triangles in the order of its faces.
     triangles: Vec<[u32; 3]>,
     attributes: Attributes,
-    /// Number of the TEXCOORD set that holds the new layout.
-    uv_set: usize,
 }
 
 /// The faces of each primitive in the order of the uploaded triangles, which is the order of drawing.
@@ -137,15 +137,20 @@ fn pages(atlas: &Atlas, faces: &[FaceId]) -> Vec<u16> {
     pages
 }
 
+/// Whether a primitive reads directions through the refined layout.
+fn reads_directions(set: &TextureSet, primitive: usize) -> bool {
+    set.slots.iter().any(|s| s.role.is_direction() && s.primitives.contains(&(primitive as u32)))
+}
+
 /// Primitives, as (set, primitive), that share all their attributes, and so their vertices.
 fn pools(doc: &Document, sets: &[Refined<'_>]) -> Result<Vec<Vec<(usize, usize)>>> {
     let mut order: Vec<Vec<(usize, usize)>> = Vec::new();
-    let mut known: BTreeMap<(String, usize, bool), usize> = BTreeMap::new();
+    let mut known: BTreeMap<(String, usize, usize), usize> = BTreeMap::new();
     for (s, refined) in sets.iter().enumerate() {
         for (p, primitive) in refined.set.primitives.iter().enumerate() {
             let value = uploaded(doc, primitive)?;
             let names = format!("{:?} {:?}", value.get("attributes"), value.get("targets"));
-            let key = (names, primitive.uv_set, has_readers(value));
+            let key = (names, primitive.layout.uv_set, primitive.written);
             let index = *known.entry(key).or_insert_with(|| {
                 order.push(Vec::new());
                 order.len() - 1
@@ -161,17 +166,6 @@ fn uploaded<'a>(doc: &'a Document, primitive: &PrimitiveRef) -> Result<&'a Value
     doc.json.pointer(&pointer).ok_or_else(|| Failure::internal("the set is of another document").at(pointer))
 }
 
-/// Whether something else may read a primitive's TEXCOORD set.
-fn has_readers(primitive: &Value) -> bool {
-    object(primitive, "extensions").is_some_and(|e| e.keys().any(|k| k != "KHR_materials_variants"))
-}
-
-/// The highest TEXCOORD number of a primitive.
-fn last_uv_set(primitive: &Value) -> usize {
-    let names = object(primitive, "attributes").into_iter().flat_map(|a| a.keys());
-    names.filter_map(|n| n.strip_prefix("TEXCOORD_")?.parse().ok()).max().unwrap_or(0)
-}
-
 /// The vertices of a pool, the attributes that hold them, and the TEXCOORD sets that were read and written.
 fn pool(
     doc: &Document,
@@ -181,14 +175,17 @@ fn pool(
     faces: &[Vec<Vec<FaceId>>],
     points: &mut [Points<'_>],
     make_tangents: bool,
-) -> Result<(Vertices, Attributes, [usize; 2])> {
+) -> Result<(Vertices, Attributes)> {
     let first = members.first().map(|&(s, p)| &sets[s].set.primitives[p]);
     let first = first.ok_or_else(|| Failure::internal("a pool of no primitives"))?;
     let value = uploaded(doc, first)?;
     let pointer = primitive_pointer(first.mesh, first.primitive);
-    let layout = [first.uv_set, if has_readers(value) { last_uv_set(value) + 1 } else { first.uv_set }];
+    let layout = [first.layout.uv_set, first.written];
     let attributes = value.get("attributes");
-    let turning = make_tangents || ["NORMAL", "TANGENT"].iter().all(|n| attributes.is_some_and(|a| a.get(n).is_some()));
+    let has = |name: &str| attributes.is_some_and(|a| a.get(name).is_some());
+    // Directions that are read through another layout keep their tangents.
+    let directions = members.iter().any(|&(s, p)| reads_directions(sets[s].set, p));
+    let turning = make_tangents || (directions && has("NORMAL") && has("TANGENT"));
     let mut pool = Pool::new(vertex_count(doc, &pointer)?, turning);
     for &(s, p) in members {
         let (atlas, primitive) = (sets[s].atlas, &sets[s].set.primitives[p]);
@@ -208,7 +205,7 @@ fn pool(
     }
     let vertices = pool.finish()?;
     let attributes = emit(doc, out, value, &pointer, &vertices, layout)?;
-    Ok((vertices, attributes, layout))
+    Ok((vertices, attributes))
 }
 
 /// JSON pointer of the primitive that takes the faces of the `n`-th page: the uploaded one, or a copy behind the others.
@@ -258,9 +255,8 @@ fn set_materials(
     out: &mut Document,
     textures: &mut Textures<'_>,
     pointer: &str,
-    owner: (usize, usize),
+    owner: Owner,
     page: usize,
-    uv_set: usize,
 ) -> Result<()> {
     let mut places = vec![format!("{pointer}/material")];
     let mappings = format!("{pointer}/extensions/KHR_materials_variants/mappings");
@@ -268,7 +264,7 @@ fn set_materials(
     places.extend((0..count).map(|i| format!("{mappings}/{i}/material")));
     for place in places {
         let Some(material) = out.json.pointer(&place).and_then(Value::as_u64) else { continue };
-        let new = textures.material(out, doc, material as usize, owner, page, uv_set)?;
+        let new = textures.material(out, doc, material as usize, owner, page)?;
         if let Some(value) = out.json.pointer_mut(&place).filter(|_| new as u64 != material) {
             *value = Value::from(new);
         }

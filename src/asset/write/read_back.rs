@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use super::{Refined, faces_of, has_readers, last_uv_set, pages};
-use crate::asset::Document;
+use super::{Refined, faces_of, pages};
 use crate::asset::geometry::{Geometry, Reader, weld};
 use crate::asset::json::array;
 use crate::asset::scan::primitive_pointer;
+use crate::asset::{Document, Layout};
 use crate::atlas::{Atlas, FaceId, UvId};
 use crate::context::Context;
 use crate::error::{Failure, Result};
@@ -30,10 +30,7 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
                 0 => primitive.primitive,
                 _ => appended.get(&(index, p)).map_or(usize::MAX, |first| first + n - 1),
             };
-            let value = doc.json.pointer(&primitive_pointer(primitive.mesh, number));
-            let value = value.ok_or_else(|| Failure::internal("a written primitive is missing"))?;
-            let uv_set = if has_readers(value) { last_uv_set(value) } else { primitive.uv_set };
-            let geometry = reader.read(primitive.mesh, number, uv_set, context)?;
+            let geometry = reader.read(primitive.mesh, number, Layout::plain(primitive.written), context)?;
             let own: Vec<FaceId> = faces[p].iter().copied().filter(|f| after.page[f.index()] == page).collect();
             if own.len() != geometry.corners.len() {
                 let text = format!("{} triangles were written, and {} are read", own.len(), geometry.corners.len());

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::blend::{unit, wide};
 use super::vertices::{Point, Points};
-use super::{Refined, uploaded};
+use super::{Refined, reads_directions, uploaded};
 use crate::asset::accessor::{read_vec2, read_vec3};
 use crate::asset::json::{array, index};
 use crate::asset::scan::primitive_pointer;
@@ -28,8 +28,7 @@ pub(super) fn lost(doc: &Document, refined: &Refined<'_>, faces: &[Vec<FaceId>])
     for (p, primitive) in set.primitives.iter().enumerate() {
         let attributes = uploaded(doc, primitive)?.get("attributes");
         let has = |name: &str| attributes.is_some_and(|a| a.get(name).is_some());
-        let reads = set.slots.iter().any(|s| s.role.is_direction() && s.primitives.contains(&(p as u32)));
-        lost.push(reads && has("NORMAL") && !has("TANGENT"));
+        lost.push(reads_directions(set, p) && has("NORMAL") && !has("TANGENT"));
     }
     if lost.contains(&true) {
         let (before, after) = (Topology::new(&set.atlas), Topology::new(refined.atlas));
@@ -59,7 +58,7 @@ pub(super) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Optio
     let value = doc.json.pointer(&pointer).unwrap_or(&Value::Null);
     let accessors = array(&doc.json, "accessors").len();
     let find = |name: &str| index(value, name, accessors, &pointer);
-    let name = format!("TEXCOORD_{}", primitive.uv_set);
+    let name = format!("TEXCOORD_{}", primitive.layout.uv_set);
     let (Some(positions), Some(normals), Some(uvs)) = (find("POSITION")?, find("NORMAL")?, find(&name)?) else {
         return Ok(None);
     };
@@ -67,7 +66,10 @@ pub(super) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Optio
         corners: &primitive.corners,
         positions: read_vec3(doc, positions)?,
         normals: read_vec3(doc, normals)?,
-        uvs: read_vec2(doc, uvs)?,
+        uvs: read_vec2(doc, uvs)?
+            .into_iter()
+            .map(|uv| primitive.layout.transform.apply(uv).as_vec2().to_array())
+            .collect(),
         tangents: vec![[[1.0, 0.0, 0.0, 1.0]; 3]; primitive.corners.len()],
     };
     let finite = mesh.normals.iter().flatten().all(|x| x.is_finite());

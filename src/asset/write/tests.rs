@@ -137,7 +137,8 @@ fn a_strip_becomes_a_list_where_its_triangles_part() {
 
 #[test]
 fn tangents_turn_with_their_chart() {
-    let mut doc = document(&[[16, 16]]);
+    let mut doc = document(&[[16, 16], [16, 16]]);
+    doc.json["materials"][0]["normalTexture"] = json!({ "index": 1 });
     let mut p = bowtie(&mut doc);
     let (s, c) = 0.4f32.sin_cos();
     let tangents = attribute(&mut doc, &[[c, s, 0.0, 1.0]; 5]);
@@ -420,4 +421,70 @@ fn vertices_are_kept(doc: &Document, out: &Document, refined: &Refined<'_>, path
             }
         }
     }
+}
+
+#[test]
+fn a_texture_transform_is_taken_into_the_uvs() {
+    let mut doc = document(&[[16, 16], [8, 8]]);
+    let transform = json!({ "KHR_texture_transform": { "scale": [0.5, 0.5], "offset": [0.25, 0.0] } });
+    let info = json!({ "index": 0, "extensions": transform, "extras": 1 });
+    doc.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = info;
+    doc.json["extensionsUsed"] = json!(["KHR_texture_transform"]);
+    doc.json["extensionsRequired"] = json!(["KHR_texture_transform"]);
+    let p = bowtie(&mut doc);
+    mesh(&mut doc, vec![p]);
+    let sets = sets_of(&doc);
+    let atlas = moved(&sets[0], &[shift(1.0, 2.0), shift(1.0, 2.0)], &[[16, 16]]);
+    let out = round(&doc, &sets[0], &atlas);
+    let expected = json!({ "index": 0, "extras": 1 });
+    assert_eq!(out.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"], expected);
+    assert!(out.json.get("extensionsUsed").is_none() && out.json.get("extensionsRequired").is_none());
+    let uvs = read_vec2(&out, accessor(&out, &format!("{FIRST}/attributes/TEXCOORD_0"))).unwrap();
+    assert_eq!(uvs[0], [(0.5 * 8.0 + 4.0 + 1.0) / 16.0, (0.5 * 8.0 + 2.0) / 16.0]);
+    // Another texture that reads the set untransformed keeps it, and the new layout is a set of its own.
+    doc.json["materials"][0]["emissiveTexture"] = json!({ "index": 1 });
+    let sets = sets_of(&doc);
+    let atlas = moved(&sets[0], &[shift(1.0, 2.0), shift(1.0, 2.0)], &[[16, 16]]);
+    let out = round(&doc, &sets[0], &atlas);
+    let material = &out.json["materials"][0];
+    let expected = json!({ "index": 0, "extras": 1, "texCoord": 1 });
+    assert_eq!(material["pbrMetallicRoughness"]["baseColorTexture"], expected);
+    assert_eq!(material["emissiveTexture"], json!({ "index": 1 }));
+    let attributes = format!("{FIRST}/attributes");
+    let old = doc.json.pointer(&attributes).unwrap()["TEXCOORD_0"].clone();
+    assert_eq!(out.json.pointer(&attributes).unwrap()["TEXCOORD_0"], old);
+    assert_eq!(read_vec2(&out, accessor(&out, &format!("{attributes}/TEXCOORD_1"))).unwrap(), uvs);
+}
+
+#[test]
+fn an_image_of_two_meanings_becomes_two_images() {
+    let mut doc = document(&[[16, 16]]);
+    doc.json["materials"][0]["normalTexture"] = json!({ "index": 0, "scale": 0.5 });
+    let p = bowtie(&mut doc);
+    mesh(&mut doc, vec![p]);
+    let sets = sets_of(&doc);
+    let atlas = moved(&sets[0], &[shift(1.0, 2.0), shift(1.0, 2.0)], &[[16, 16]]);
+    let out = round(&doc, &sets[0], &atlas);
+    let material = &out.json["materials"][0];
+    assert_eq!(material["pbrMetallicRoughness"]["baseColorTexture"], json!({ "index": 0 }));
+    assert_eq!(material["normalTexture"], json!({ "index": 1, "scale": 0.5 }));
+    let sources: Vec<_> = out.json["textures"].as_array().unwrap().iter().map(|t| t["source"].clone()).collect();
+    assert_eq!((sources, out.images.len()), (vec![json!(0), json!(1)], 2));
+}
+
+#[test]
+fn a_texture_loses_the_extension_that_gave_its_image() {
+    let mut doc = document(&[[16, 16], [16, 16]]);
+    doc.json["textures"] = json!([{ "source": 0, "extensions": { "EXT_texture_webp": { "source": 1 } } }]);
+    doc.json["extensionsUsed"] = json!(["EXT_texture_webp"]);
+    let p = bowtie(&mut doc);
+    mesh(&mut doc, vec![p]);
+    let sets = sets_of(&doc);
+    assert_eq!(sets[0].slots[0].image, 1);
+    let atlas = moved(&sets[0], &[shift(1.0, 2.0), shift(1.0, 2.0)], &[[16, 16]]);
+    let out = round(&doc, &sets[0], &atlas);
+    // The image for other readers is nobody's any more.
+    assert_eq!(out.json["textures"][0], json!({ "source": 0, "sampler": 0 }));
+    assert_eq!((out.images.len(), out.json.get("extensionsUsed")), (1, None));
+    assert_eq!(out.images[0].as_ref().unwrap(), &png(3, 1));
 }

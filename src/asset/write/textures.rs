@@ -1,16 +1,17 @@
 //! Images, textures, samplers and materials of refined sets: replaced in place where nobody else reads them,
 //! appended where somebody does.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use super::{BakedImage, Refined};
 use crate::asset::json::object_mut;
-use crate::asset::scan::{Scan, TextureUse};
-use crate::asset::{Document, Slot};
+use crate::asset::scan::{SOURCES, Scan, TextureUse};
+use crate::asset::sets::class;
+use crate::asset::{Document, Layout, Slot, transform};
 use crate::error::{Failure, Result};
-use crate::texture::Wrap;
+use crate::texture::{Format, Wrap};
 
 /// glTF's number of the wrap mode CLAMP_TO_EDGE.
 const CLAMP_TO_EDGE: u32 = 33071;
@@ -26,40 +27,61 @@ pub(super) struct Textures<'a> {
     foreign_images: Vec<bool>,
     /// Image by (set, slot, page).
     images: BTreeMap<(usize, usize, usize), usize>,
+    /// Format of the images that were placed.
+    formats: BTreeMap<usize, Format>,
     /// Image by the name that several sets give it.
     shared: BTreeMap<String, usize>,
     /// Images in whose place another set's stands.
     replaced: Vec<usize>,
-    /// Texture by (texture, page).
-    textures: BTreeMap<(usize, usize), usize>,
+    /// Texture by (texture, set, slot, page).
+    textures: BTreeMap<(usize, usize, usize, usize), usize>,
+    /// Textures changed in place.
+    taken: BTreeSet<usize>,
     /// CLAMP_TO_EDGE sampler by the one that it replaces.
     samplers: BTreeMap<Option<usize>, usize>,
-    /// Material by (material, page, TEXCOORD set).
-    materials: BTreeMap<(usize, usize, usize), usize>,
-    /// TEXCOORD set of a material changed in place.
-    in_place: BTreeMap<usize, usize>,
+    /// Material by (material, page, owner).
+    materials: BTreeMap<(usize, usize, Owner), usize>,
+    /// Materials changed in place.
+    in_place: BTreeSet<usize>,
 }
 
-/// The set and layout that own a primitive.
-type Owner = Option<(usize, usize)>;
+/// The set that a primitive is refined in, and how.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Owner {
+    /// Index into the refined sets.
+    set: usize,
+    /// The layout that was refined.
+    layout: Layout,
+    /// Number of the TEXCOORD set that has the new one.
+    written: usize,
+}
+
+impl Owner {
+    /// The owner of primitive `p` of set `s`.
+    pub(super) fn of(sets: &[Refined<'_>], s: usize, p: usize) -> Owner {
+        let primitive = &sets[s].set.primitives[p];
+        Owner { set: s, layout: primitive.layout, written: primitive.written }
+    }
+}
 
 impl<'a> Textures<'a> {
     /// Finds out who reads what.
     pub(super) fn new(scan: &'a Scan, sets: &'a [Refined<'a>], images: usize) -> Self {
-        let mut owners: BTreeMap<(usize, usize), (usize, usize)> = BTreeMap::new();
+        let mut owners: BTreeMap<(usize, usize), Owner> = BTreeMap::new();
         for (s, refined) in sets.iter().enumerate() {
-            for primitive in &refined.set.primitives {
-                owners.insert((primitive.mesh, primitive.primitive), (s, primitive.uv_set));
+            for (p, primitive) in refined.set.primitives.iter().enumerate() {
+                owners.insert((primitive.mesh, primitive.primitive), Owner::of(sets, s, p));
             }
         }
         let count = scan.materials.len();
-        let (mut used, mut shared, mut material_owner) = (vec![false; count], vec![false; count], vec![None; count]);
+        let (mut used, mut shared) = (vec![false; count], vec![false; count]);
+        let mut readers: Vec<BTreeSet<Owner>> = vec![BTreeSet::new(); count];
         for primitive in &scan.primitives {
-            let owner: Owner = owners.get(&(primitive.mesh, primitive.primitive)).copied();
+            let owner = owners.get(&(primitive.mesh, primitive.primitive));
             for &m in &primitive.materials {
                 used[m] = true;
                 shared[m] |= owner.is_none();
-                material_owner[m] = material_owner[m].or(owner);
+                readers[m].extend(owner);
             }
         }
         // An extension that is not understood may give a material to something.
@@ -71,16 +93,18 @@ impl<'a> Textures<'a> {
             foreign_textures: vec![false; scan.textures.len()],
             foreign_images: vec![false; images],
             images: BTreeMap::new(),
+            formats: BTreeMap::new(),
             shared: BTreeMap::new(),
             replaced: Vec::new(),
             textures: BTreeMap::new(),
+            taken: BTreeSet::new(),
             samplers: BTreeMap::new(),
             materials: BTreeMap::new(),
-            in_place: BTreeMap::new(),
+            in_place: BTreeSet::new(),
         };
-        for (m, (material, owner)) in scan.materials.iter().zip(material_owner).enumerate() {
+        for (m, (material, readers)) in scan.materials.iter().zip(readers).enumerate() {
             for used in &material.uses {
-                let refined = owner.is_some_and(|owner| out.slot_of(owner, used).is_some());
+                let refined = !readers.is_empty() && readers.iter().all(|owner| out.slot_of(*owner, used).is_some());
                 out.foreign_textures[used.texture] |= out.shared_materials[m] || !refined;
             }
         }
@@ -88,7 +112,8 @@ impl<'a> Textures<'a> {
             out.foreign_textures[*texture] = true;
         }
         let foreign = scan.textures.iter().zip(&out.foreign_textures).filter(|(_, foreign)| **foreign);
-        let foreign = foreign.filter_map(|(t, _)| t.image).chain(scan.named_images.iter().copied());
+        let foreign = foreign.flat_map(|(t, _)| t.image.into_iter().chain(t.fallback));
+        let foreign = foreign.chain(scan.named_images.iter().copied());
         for image in foreign.filter(|i| *i < images) {
             out.foreign_images[image] = true;
         }
@@ -96,11 +121,11 @@ impl<'a> Textures<'a> {
     }
 
     /// The slot that a material's texture is refined as.
-    fn slot_of(&self, (set, uv_set): (usize, usize), used: &TextureUse) -> Option<usize> {
+    fn slot_of(&self, owner: Owner, used: &TextureUse) -> Option<usize> {
         let image = self.scan.textures.get(used.texture)?.image?;
-        let slots = &self.sets.get(set)?.set.slots;
-        let slot = slots.iter().position(|s: &Slot| s.image == image && !s.exempt)?;
-        (used.role.is_some() && used.uv_set == uv_set).then_some(slot)
+        let role = used.role.filter(|_| used.layout == owner.layout)?;
+        let slots = &self.sets.get(owner.set)?.set.slots;
+        slots.iter().position(|s: &Slot| s.image == image && class(s.role) == class(role) && !s.exempt)
     }
 
     /// Puts the baked images into the document.
@@ -108,6 +133,8 @@ impl<'a> Textures<'a> {
     /// # Errors
     /// `internal` where an image of a page is missing.
     pub(super) fn place_images(&mut self, out: &mut Document) -> Result<()> {
+        // An image that is read as colour and as data has a slot of each: the first takes its place.
+        let mut taken = BTreeSet::new();
         for (s, refined) in self.sets.iter().enumerate() {
             for (i, slot) in refined.set.slots.iter().enumerate().filter(|(_, slot)| !slot.exempt) {
                 for page in 0..refined.atlas.sheets.len() {
@@ -120,10 +147,13 @@ impl<'a> Textures<'a> {
                     if known.is_some() && page == 0 && !foreign {
                         self.replaced.push(slot.image);
                     }
-                    let image = known.unwrap_or_else(|| place(out, slot.image, baked, page == 0 && !foreign));
+                    let image = known.unwrap_or_else(|| {
+                        place(out, slot.image, baked, page == 0 && !foreign && taken.insert(slot.image))
+                    });
                     if let Some(name) = &baked.shared {
                         self.shared.insert(name.clone(), image);
                     }
+                    self.formats.insert(image, baked.format);
                     self.images.insert((s, i, page), image);
                 }
             }
@@ -133,10 +163,11 @@ impl<'a> Textures<'a> {
 
     /// Takes out the images that the image of another set stands for, where every reader of their indices is known.
     pub(super) fn drop_replaced(&mut self, out: &mut Document) {
-        let textures = out.json.get("textures").and_then(Value::as_array);
-        let read: Vec<u64> = textures.into_iter().flatten().filter_map(|t| t.get("source")?.as_u64()).collect();
-        // A texture that no material reads keeps its image.
-        self.replaced.retain(|r| !read.contains(&(*r as u64)));
+        let mut read = BTreeSet::new();
+        each_source(&mut out.json, |source| read.extend(source.as_u64()));
+        // A texture that no material reads keeps its image, and an extension what it names.
+        let foreign = |r: &usize| self.foreign_images.get(*r).copied().unwrap_or(true);
+        self.replaced.retain(|r| !read.contains(&(*r as u64)) && !foreign(r));
         self.replaced.sort_unstable();
         self.replaced.dedup();
         if !self.scan.understood || self.replaced.is_empty() {
@@ -156,15 +187,14 @@ impl<'a> Textures<'a> {
             index += 1;
             !gone(index - 1)
         });
-        for texture in out.json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
-            let Some(source) = texture.get("source").and_then(Value::as_u64) else { continue };
-            let before = replaced.partition_point(|r| (*r as u64) < source);
-            texture["source"] = Value::from(source - before as u64);
-        }
+        each_source(&mut out.json, |source| {
+            if let Some(image) = source.as_u64() {
+                *source = Value::from(image - replaced.partition_point(|r| (*r as u64) < image) as u64);
+            }
+        });
     }
 
-    /// The material that stands for `material` on a page, reading TEXCOORD_`uv_set`, for a primitive of set
-    /// `owner.0` whose layout `owner.1` was refined.
+    /// The material that stands for `material` on a page, for a primitive with this owner.
     ///
     /// # Errors
     /// `invalid_model` for JSON of the wrong shape.
@@ -173,11 +203,11 @@ impl<'a> Textures<'a> {
         out: &mut Document,
         original: &Document,
         material: usize,
-        owner: (usize, usize),
+        owner: Owner,
         page: usize,
-        uv_set: usize,
     ) -> Result<usize> {
-        if let Some(done) = self.materials.get(&(material, page, uv_set)) {
+        let key = (material, page, owner);
+        if let Some(done) = self.materials.get(&key) {
             return Ok(*done);
         }
         let scan = self.scan;
@@ -185,18 +215,18 @@ impl<'a> Textures<'a> {
         let mut edits = Vec::new();
         for used in uses {
             if let Some(slot) = self.slot_of(owner, used) {
-                let texture = self.texture(out, used.texture, owner.0, slot, page)?;
-                if texture != used.texture || uv_set != used.uv_set {
-                    edits.push((used, texture));
+                let texture = self.texture(out, used.texture, owner.set, slot, page)?;
+                let moved = Layout::plain(owner.written) != used.layout;
+                if texture != used.texture || moved {
+                    edits.push(Edit { used, texture, uv_set: moved.then_some(owner.written) });
                 }
             }
         }
         let shared = self.shared_materials.get(material).copied().unwrap_or(true);
         let target = if edits.is_empty() {
             material
-        } else if page == 0 && !shared && !self.in_place.contains_key(&material) {
-            self.in_place.insert(material, uv_set);
-            edit(&mut out.json, &format!("/materials/{material}"), &edits, uv_set)?;
+        } else if page == 0 && !shared && self.in_place.insert(material) {
+            edit(&mut out.json, &format!("/materials/{material}"), &edits)?;
             material
         } else {
             let mut clone =
@@ -207,16 +237,17 @@ impl<'a> Textures<'a> {
                 *name = format!("{name} (page {})", page + 1);
             }
             let number = out.push("materials", clone);
-            edit(&mut out.json, &format!("/materials/{number}"), &edits, uv_set)?;
+            edit(&mut out.json, &format!("/materials/{number}"), &edits)?;
             number
         };
-        self.materials.insert((material, page, uv_set), target);
+        self.materials.insert(key, target);
         Ok(target)
     }
 
     /// The texture that stands for `texture` on a page.
     fn texture(&mut self, out: &mut Document, texture: usize, set: usize, slot: usize, page: usize) -> Result<usize> {
-        if let Some(done) = self.textures.get(&(texture, page)) {
+        let key = (texture, set, slot, page);
+        if let Some(done) = self.textures.get(&key) {
             return Ok(*done);
         }
         let scanned = self.scan.textures.get(texture).cloned().unwrap_or_default();
@@ -227,16 +258,19 @@ impl<'a> Textures<'a> {
             _ => Some(self.clamped(out, scanned.sampler)),
         };
         let mut number = texture;
-        if page > 0 || self.foreign_textures.get(texture).copied().unwrap_or(true) {
+        let foreign = self.foreign_textures.get(texture).copied().unwrap_or(true);
+        if page > 0 || foreign || !self.taken.insert(texture) {
             let clone = out.json.pointer(&format!("/textures/{texture}")).cloned().unwrap_or_else(|| json!({}));
             number = out.push("textures", clone);
+        } else if let Some(fallback) = scanned.fallback {
+            self.replaced.push(fallback);
         }
         let object = object_mut(&mut out.json, &format!("/textures/{number}"))?;
-        object.insert("source".to_owned(), Value::from(image));
+        set_source(object, image, self.formats.get(&image).copied());
         if let Some(sampler) = sampler {
             object.insert("sampler".to_owned(), Value::from(sampler));
         }
-        self.textures.insert((texture, page), number);
+        self.textures.insert(key, number);
         Ok(number)
     }
 
@@ -274,15 +308,61 @@ fn place(out: &mut Document, index: usize, baked: &BakedImage, in_place: bool) -
     number
 }
 
-/// Points the texture infos of a material to other textures and TEXCOORD sets.
-fn edit(json: &mut Value, pointer: &str, edits: &[(&TextureUse, usize)], uv_set: usize) -> Result<()> {
-    for (used, texture) in edits {
+/// Gives a texture its image: as its core source, or where the format needs it by extension.
+fn set_source(texture: &mut Map<String, Value>, image: usize, format: Option<Format>) {
+    if let Some(extensions) = texture.get_mut("extensions").and_then(Value::as_object_mut) {
+        extensions.retain(|name, _| !SOURCES.contains(&name.as_str()));
+        if extensions.is_empty() {
+            texture.shift_remove("extensions");
+        }
+    }
+    if format.is_some_and(Format::needs_extension) {
+        texture.shift_remove("source");
+        let extensions = texture.entry("extensions").or_insert_with(|| json!({}));
+        extensions["EXT_texture_webp"] = json!({ "source": image });
+    } else {
+        texture.insert("source".to_owned(), Value::from(image));
+    }
+}
+
+/// Calls `f` with every image index of the textures, those in extensions too.
+fn each_source(json: &mut Value, mut f: impl FnMut(&mut Value)) {
+    for texture in json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
+        if let Some(source) = texture.get_mut("source") {
+            f(source);
+        }
+        let extensions = texture.get_mut("extensions").and_then(Value::as_object_mut);
+        for source in extensions.into_iter().flat_map(|e| e.values_mut()).filter_map(|e| e.get_mut("source")) {
+            f(source);
+        }
+    }
+}
+
+/// What changes in one texture info.
+struct Edit<'a> {
+    used: &'a TextureUse,
+    /// The texture that it names.
+    texture: usize,
+    /// The TEXCOORD set that it reads, untransformed, where that is another.
+    uv_set: Option<usize>,
+}
+
+/// Points the texture infos of a material to other textures and layouts.
+fn edit(json: &mut Value, pointer: &str, edits: &[Edit<'_>]) -> Result<()> {
+    for Edit { used, texture, uv_set } in edits {
         let info = object_mut(json, &format!("{pointer}{}", used.path))?;
         if *texture != used.texture {
             info.insert("index".to_owned(), Value::from(*texture));
         }
-        if uv_set != used.uv_set {
-            info.insert("texCoord".to_owned(), Value::from(uv_set));
+        let Some(uv_set) = uv_set else { continue };
+        if info.get("texCoord").and_then(Value::as_u64).unwrap_or(0) != *uv_set as u64 {
+            info.insert("texCoord".to_owned(), Value::from(*uv_set));
+        }
+        if let Some(extensions) = info.get_mut("extensions").and_then(Value::as_object_mut) {
+            extensions.shift_remove(transform::EXTENSION);
+            if extensions.is_empty() {
+                info.shift_remove("extensions");
+            }
         }
     }
     Ok(())

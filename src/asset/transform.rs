@@ -1,0 +1,153 @@
+//! Texture transforms (KHR_texture_transform) and the layouts that they make of a TEXCOORD set.
+
+use glam::DVec2;
+use serde_json::{Map, Value};
+
+use crate::error::{Failure, Result};
+
+/// The name of the extension.
+pub(crate) const EXTENSION: &str = "KHR_texture_transform";
+
+/// What is done to UVs before a texture is read: scaled, turned counter-clockwise as one sees the image, moved.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Transform {
+    /// Translation, in images.
+    pub offset: DVec2,
+    /// Angle in radians.
+    pub rotation: f64,
+    /// Scale by axis.
+    pub scale: DVec2,
+}
+
+impl Transform {
+    /// UVs as they are.
+    pub const IDENTITY: Transform = Transform { offset: DVec2::ZERO, rotation: 0.0, scale: DVec2::ONE };
+
+    /// The transform of a texture info, and the TEXCOORD set that it names instead of the info's. `pointer` is that of the info.
+    ///
+    /// # Errors
+    /// `invalid_model` with a pointer for a value of the wrong kind.
+    pub(crate) fn of(info: &Value, pointer: &str) -> Result<(Transform, Option<usize>)> {
+        let Some(value) = info.get("extensions").and_then(|e| e.get(EXTENSION)) else {
+            return Ok((Transform::IDENTITY, None));
+        };
+        let at = format!("{pointer}/extensions/{EXTENSION}");
+        let object = value.as_object();
+        let object = object.ok_or_else(|| Failure::model("an object is expected here").at(at.clone()))?;
+        let uv_set = super::json::index(value, "texCoord", 1 << 16, &at)?;
+        let offset = pair(object, "offset", DVec2::ZERO, &at)?;
+        let scale = pair(object, "scale", DVec2::ONE, &at)?;
+        let rotation = match object.get("rotation") {
+            None => 0.0,
+            Some(value) => number(value).ok_or_else(|| {
+                Failure::model("the rotation of a texture transform is a number").at(format!("{at}/rotation"))
+            })?,
+        };
+        Ok((Transform { offset, rotation, scale }, uv_set))
+    }
+
+    /// Whether it changes nothing.
+    pub fn is_identity(&self) -> bool {
+        *self == Transform::IDENTITY
+    }
+
+    /// Where the image is read for a UV: T R S of the extension's text, with v down.
+    pub fn apply(&self, uv: [f32; 2]) -> DVec2 {
+        let uv = DVec2::from(uv.map(f64::from));
+        if self.is_identity() {
+            return uv;
+        }
+        let (sin, cos) = self.rotation.sin_cos();
+        let p = uv * self.scale;
+        DVec2::new(cos * p.x + sin * p.y, cos * p.y - sin * p.x) + self.offset
+    }
+
+    /// Bits by which equal transforms are told: -0 is 0.
+    fn bits(&self) -> [u64; 5] {
+        [self.offset.x, self.offset.y, self.rotation, self.scale.x, self.scale.y].map(|x| (x + 0.0).to_bits())
+    }
+}
+
+impl Eq for Transform {}
+
+impl PartialOrd for Transform {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Transform {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.bits().cmp(&other.bits())
+    }
+}
+
+impl std::hash::Hash for Transform {
+    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+        self.bits().hash(state);
+    }
+}
+
+fn number(value: &Value) -> Option<f64> {
+    value.as_f64().filter(|x| x.is_finite())
+}
+
+fn pair(object: &Map<String, Value>, key: &str, default: DVec2, pointer: &str) -> Result<DVec2> {
+    let Some(value) = object.get(key) else { return Ok(default) };
+    let numbers: Option<Vec<f64>> = value.as_array().and_then(|a| a.iter().map(number).collect());
+    match numbers.as_deref() {
+        Some(&[x, y]) => Ok(DVec2::new(x, y)),
+        _ => {
+            Err(Failure::model(format!("the {key} of a texture transform is two numbers"))
+                .at(format!("{pointer}/{key}")))
+        }
+    }
+}
+
+/// How texture coordinates are read: a TEXCOORD set, transformed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Layout {
+    /// Number of the TEXCOORD set.
+    pub uv_set: usize,
+    /// What is done to it.
+    pub transform: Transform,
+}
+
+impl Layout {
+    /// A TEXCOORD set as it is.
+    pub fn plain(uv_set: usize) -> Layout {
+        Layout { uv_set, transform: Transform::IDENTITY }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn transform(value: Value) -> Transform {
+        Transform::of(&json!({ "extensions": { EXTENSION: value } }), "").unwrap().0
+    }
+
+    #[test]
+    fn scaled_then_turned_then_moved() {
+        // By its definition, the homogeneous matrices multiplied out: a quarter turn takes +u to -v, which is up.
+        let t = transform(json!({ "offset": [0.25, 0.5], "rotation": std::f64::consts::FRAC_PI_2, "scale": [2, 3] }));
+        let apply = |u, v| t.apply([u, v]);
+        assert!((apply(0.0, 0.0) - DVec2::new(0.25, 0.5)).length() < 1e-15);
+        assert!((apply(1.0, 0.0) - DVec2::new(0.25, -1.5)).length() < 1e-15);
+        assert!((apply(0.0, 1.0) - DVec2::new(3.25, 0.5)).length() < 1e-15);
+    }
+
+    #[test]
+    fn what_says_nothing_is_the_identity() {
+        assert!(transform(json!({})).is_identity());
+        assert!(transform(json!({ "offset": [0, -0.0], "scale": [1, 1.0], "rotation": 0 })).is_identity());
+        assert_eq!(transform(json!({ "rotation": -0.0 })).cmp(&Transform::IDENTITY), std::cmp::Ordering::Equal);
+        for wrong in [json!(3), json!({ "offset": [1] }), json!({ "rotation": "x" }), json!({ "texCoord": -1 })] {
+            let info = json!({ "extensions": { EXTENSION: wrong } });
+            let at = Transform::of(&info, "/m").unwrap_err().pointer.unwrap();
+            assert!(at.starts_with("/m/extensions/KHR_texture_transform"));
+        }
+    }
+}
