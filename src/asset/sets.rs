@@ -246,7 +246,7 @@ fn slot(doc: &Document, image: usize, mut readers: Readers) -> std::result::Resu
     let header = header(bytes).map_err(|e| Warning::new("invalid_image", format!("{left} {}", e.message)).at(&*at))?;
     readers.roles.sort_unstable();
     let role = readers.roles.first().copied().unwrap_or(Role::BaseColor);
-    if readers.roles.iter().any(|r| (r.is_srgb(), r.is_direction()) != (role.is_srgb(), role.is_direction())) {
+    if readers.roles.iter().any(|r| (r.is_srgb(), r.direction()) != (role.is_srgb(), role.direction())) {
         let text = format!("{left} the image is read both as {} and as other data", role.as_str());
         return Err(Warning::new("image_role_conflict", text).at(at));
     }

@@ -37,6 +37,20 @@ pub enum Role {
     Occlusion,
     /// sRGB colour.
     Emissive,
+    /// Tangent-space normals of a clear coat (KHR_materials_clearcoat).
+    ClearcoatNormal,
+    /// Direction and strength of anisotropy (KHR_materials_anisotropy).
+    Anisotropy,
+}
+
+/// Kinds of texels that turn with their chart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    /// RGB is a unit vector in tangent space, `value * 2 - 1`.
+    Normal,
+    /// RG is a direction along the surface in tangent space, `value * 2 - 1`; B is a strength in 0..=1, which does not turn.
+    /// A direction and its opposite mean the same.
+    Anisotropy,
 }
 
 impl Role {
@@ -48,6 +62,8 @@ impl Role {
             Role::Normal => "normal",
             Role::Occlusion => "occlusion",
             Role::Emissive => "emissive",
+            Role::ClearcoatNormal => "clearcoat_normal",
+            Role::Anisotropy => "anisotropy",
         }
     }
 
@@ -56,9 +72,18 @@ impl Role {
         matches!(self, Role::BaseColor | Role::Emissive)
     }
 
+    /// Which directions the texels are, if any: they turn with their chart.
+    pub fn direction(self) -> Option<Direction> {
+        match self {
+            Role::Normal | Role::ClearcoatNormal => Some(Direction::Normal),
+            Role::Anisotropy => Some(Direction::Anisotropy),
+            _ => None,
+        }
+    }
+
     /// Whether the texels are directions that turn with their chart.
     pub fn is_direction(self) -> bool {
-        self == Role::Normal
+        self.direction().is_some()
     }
 }
 
