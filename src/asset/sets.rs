@@ -12,7 +12,7 @@ use super::transform::{Layout, Transform};
 use super::{Document, Reading, Slot, TextureSet};
 use crate::context::Context;
 use crate::error::{Result, Warning};
-use crate::texture::{Alpha, Header, Role, header};
+use crate::texture::{Alpha, Direction, Header, Role, header};
 
 /// A texture set before its geometry is read.
 #[derive(Debug)]
@@ -290,12 +290,11 @@ fn planned(
 
 /// What decides how texels are filtered: whether they are sRGB-encoded, and the kind of direction. An image that is read as
 /// several is a slot of each.
-type Class = (bool, u8);
+type Class = (bool, Option<Direction>);
 
 /// The class of a role.
 pub(crate) fn class(role: Role) -> Class {
-    let kind = if role == Role::Anisotropy { 2 } else { u8::from(role.is_direction()) };
-    (role.is_srgb(), kind)
+    (role.is_srgb(), role.direction())
 }
 
 /// What the readers of one image say of it, in order.

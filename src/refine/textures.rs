@@ -10,7 +10,8 @@ use crate::atlas::Atlas;
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
 use crate::texture::{
-    Alpha, Bake, FIDELITY_SAMPLES, Fidelity, Format, Image, Samples, Source, Wrap, bake, decode, encode, fidelity,
+    Alpha, Bake, Direction, FIDELITY_SAMPLES, Fidelity, Format, Image, Role, Samples, Source, Wrap, bake, decode,
+    encode, fidelity,
 };
 
 /// Texels about each chart that are taken from the uploaded image: enough for mip levels 0 to 2.
@@ -80,7 +81,7 @@ pub fn exempt_uniform(doc: &Document, set: &mut TextureSet, max_pixels: u64, con
         let is_reference = [slot.header.width, slot.header.height] == set.reference;
         if (flat || is_small(slot, set.reference))
             && !is_reference
-            && decode(bytes, max_pixels).is_ok_and(|image| is_uniform(&image))
+            && decode(bytes, max_pixels).is_ok_and(|image| is_uniform(&image) && !turns(&image, slot.role))
         {
             mark_uniform(set, index);
         }
@@ -101,6 +102,16 @@ fn is_uniform(image: &Image) -> bool {
         Samples::U8(samples) => all_equal(samples, channels),
         Samples::U16(samples) => all_equal(samples, channels),
     }
+}
+
+/// Whether the first texel of an image is a direction that another layout would turn: not the normal of the surface.
+fn turns(image: &Image, role: Role) -> bool {
+    let level = |c: usize| match &image.samples {
+        Samples::U8(s) => s.get(c).map_or(0.5, |v| f64::from(*v) / 255.0),
+        Samples::U16(s) => s.get(c).map_or(0.5, |v| f64::from(*v) / 65_535.0),
+    };
+    let flat = |c: usize| (level(c) - 0.5).abs() < 1.0 / 255.0;
+    role.is_direction() && !(role.direction() == Some(Direction::Normal) && flat(0) && flat(1))
 }
 
 fn bake_slot(

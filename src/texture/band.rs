@@ -194,7 +194,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
     /// A direction turns with its chart; other values stay.
     #[inline]
     fn turned(&self, map: &Map, mut value: [f32; C]) -> [f32; C] {
-        if let (Map::Affine { rotation, .. }, Space::Direction) = (map, self.codec.space) {
+        if let (Map::Affine { rotation, .. }, Space::Directed(_)) = (map, self.codec.space) {
             turn_vector(rotation.to_cols_array().map(|v| v as f32), &mut value);
         }
         value
@@ -224,7 +224,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
                 place = [place[0] + dx, place[1] + dy];
             }
         }
-        if sampler.codec.space == Space::Direction && !turn.is_identity() {
+        if matches!(sampler.codec.space, Space::Directed(_)) && !turn.is_identity() {
             out.chunks_exact_mut(C).for_each(|texel| turn.turn_samples(texel));
         }
     }

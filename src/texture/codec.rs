@@ -1,6 +1,6 @@
 //! Between the samples of a file and the numbers that filters work on.
 
-use super::{Role, Samples};
+use super::{Direction, Role, Samples};
 
 /// A sample's type: 8 or 16 bits.
 pub(crate) trait Depth: Copy + Default + Eq + Send + Sync + 'static {
@@ -55,19 +55,17 @@ pub(crate) enum Space {
     Srgb,
     /// Plain numbers in 0..=1.
     Linear,
-    /// Unit vectors, `value * 2 - 1` (glTF 2.0, 3.9.3).
-    Direction,
+    /// `value * 2 - 1`: unit vectors (glTF 2.0, 3.9.3), or two components and a plain strength (KHR_materials_anisotropy).
+    Directed(Direction),
 }
 
 impl Space {
     /// The space of a slot's colour channels. Directions need three of them.
     pub(crate) fn of(role: Role, channels: u8) -> Self {
-        if role.is_direction() && channels >= 3 {
-            Space::Direction
-        } else if role.is_srgb() {
-            Space::Srgb
-        } else {
-            Space::Linear
+        match role.direction() {
+            Some(direction) if channels >= 3 => Space::Directed(direction),
+            _ if role.is_srgb() => Space::Srgb,
+            _ => Space::Linear,
         }
     }
 }
@@ -99,7 +97,8 @@ pub(crate) struct Codec<T> {
     /// What the colour channels hold.
     pub(crate) space: Space,
     colour: Vec<f32>,
-    alpha: Vec<f32>,
+    /// Of alpha, and of the strength of an anisotropy.
+    plain: Vec<f32>,
     /// 8-bit sRGB only: the code at the lower end of each bucket of light.
     codes: Vec<u8>,
     /// 8-bit sRGB only: the light from which the next code is nearer.
@@ -111,11 +110,11 @@ impl<T: Depth> Codec<T> {
     /// Tables for a space.
     pub(crate) fn new(space: Space) -> Self {
         let unit = |v: u32| f64::from(v) / f64::from(T::MAX);
-        let alpha: Vec<f32> = (0..=T::MAX).map(|v| unit(v) as f32).collect();
+        let plain: Vec<f32> = (0..=T::MAX).map(|v| unit(v) as f32).collect();
         let colour = match space {
             Space::Srgb => (0..=T::MAX).map(|v| srgb_to_linear(unit(v)) as f32).collect(),
-            Space::Linear => alpha.clone(),
-            Space::Direction => (0..=T::MAX).map(|v| (unit(v) * 2.0 - 1.0) as f32).collect(),
+            Space::Linear => plain.clone(),
+            Space::Directed(_) => (0..=T::MAX).map(|v| (unit(v) * 2.0 - 1.0) as f32).collect(),
         };
         let mut codes = Vec::new();
         let mut limits = Vec::new();
@@ -130,7 +129,7 @@ impl<T: Depth> Codec<T> {
                 codes.push(code as u8);
             }
         }
-        Codec { space, colour, alpha, codes, limits, depth: std::marker::PhantomData }
+        Codec { space, colour, plain, codes, limits, depth: std::marker::PhantomData }
     }
 
     /// The codec in which texels are interpolated: encoded values, as dark edges would ring in linear light, and as the figures of
@@ -143,22 +142,28 @@ impl<T: Depth> Codec<T> {
     #[inline]
     pub(crate) fn decode<const C: usize>(&self, texel: &[T]) -> [f32; C] {
         let mut out = [0.0; C];
+        let strength = self.space == Space::Directed(Direction::Anisotropy);
         for (c, (o, t)) in out.iter_mut().zip(texel).enumerate() {
-            let table = if alpha_channel(C) == Some(c) { &self.alpha } else { &self.colour };
+            let plain = alpha_channel(C) == Some(c) || (strength && c == 2);
+            let table = if plain { &self.plain } else { &self.colour };
             *o = table[t.value() as usize];
         }
         out
     }
 
-    /// The samples nearest to the numbers of one texel. Directions are made unit vectors first.
+    /// The samples nearest to the numbers of one texel. Directions are made unit vectors first; where nothing is left of them, a normal
+    /// becomes the flat one, and an anisotropy runs along the tangent.
     #[inline]
     pub(crate) fn encode<const C: usize>(&self, mut texel: [f32; C], out: &mut [T]) {
-        if self.space == Space::Direction && C >= 3 {
-            let length = (texel[0] * texel[0] + texel[1] * texel[1] + texel[2] * texel[2]).sqrt();
-            // Opposite directions cancel out: the flat normal stands for "none".
-            let flat = length < 1e-6;
-            for (c, t) in texel.iter_mut().enumerate().take(3) {
-                let unit = if flat { f32::from(u8::from(c == 2)) } else { *t / length };
+        if let Space::Directed(direction) = self.space {
+            let (components, neutral) = match direction {
+                Direction::Normal => (3, 2),
+                Direction::Anisotropy => (2, 0),
+            };
+            let length = texel.iter().take(components).map(|t| t * t).sum::<f32>().sqrt();
+            let none = length < 1e-6;
+            for (c, t) in texel.iter_mut().enumerate().take(components) {
+                let unit = if none { f32::from(u8::from(c == neutral)) } else { *t / length };
                 *t = unit * 0.5 + 0.5;
             }
         }
@@ -227,11 +232,23 @@ mod tests {
 
     #[test]
     fn directions_are_encoded_as_unit_vectors() {
-        let codec = Codec::<u8>::new(Space::Direction);
+        let codec = Codec::<u8>::new(Space::Directed(Direction::Normal));
         let mut out = [0u8; 3];
         codec.encode::<3>([0.0, 0.0, 0.2], &mut out);
         assert_eq!(out, [128, 128, 255]);
         codec.encode::<3>([0.0; 3], &mut out);
         assert_eq!(out, [128, 128, 255]);
+    }
+
+    #[test]
+    fn the_strength_of_an_anisotropy_is_a_plain_number() {
+        let codec = Codec::<u8>::new(Space::Directed(Direction::Anisotropy));
+        let texel = codec.decode::<4>(&[255, 0, 51, 102]);
+        assert_eq!(texel, [1.0, -1.0, 0.2, 0.4]);
+        let mut out = [0u8; 4];
+        codec.encode::<4>([0.0, -0.3, 0.2, 0.4], &mut out);
+        assert_eq!(out, [128, 0, 51, 102]);
+        codec.encode::<4>([0.0, 0.0, 0.2, 0.4], &mut out);
+        assert_eq!(out, [255, 128, 51, 102]);
     }
 }

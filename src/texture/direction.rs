@@ -3,7 +3,11 @@
 //! In a glTF normal map +X points right (along +U) and +Y points *up* in the image, against glTF's v. A texel's
 //! `(n.x, n.y)` is therefore the image vector `(n.x, -n.y)`, and where a chart's new texels map to the uploaded ones by the
 //! orthogonal `R`, the image vector on the new sheet is the transpose of `R` times the old. With the tangent frame turned
-//! along, `T' n'.x + B' n'.y = T n.x + B n.y` holds, mirrored charts included (their bitangent sign flips).
+//! along, `T' n'.x + B' n'.y = T n.x + B n.y` holds, mirrored charts included (their bitangent sign flips). `normalTexture.scale` is a
+//! factor on both x and y, and so stays the same.
+//!
+//! The direction of an anisotropy lies in the same frame and turns alike; its strength stays. A material's `anisotropyRotation` comes
+//! on top of the texture's direction, in the same frame: it stays true when charts turn, and changes its sense when one is mirrored.
 
 use glam::{DMat2, DVec2};
 
@@ -71,6 +75,34 @@ pub(crate) fn turn_vector<const C: usize>(rotation: [f32; 4], texel: &mut [f32; 
         let (u, v) = (*x, -*y);
         *x = rotation[0] * u + rotation[1] * v;
         *y = -(rotation[2] * u + rotation[3] * v);
+    }
+}
+
+/// An anisotropy (x, y, strength) as the strength times the unit vector at twice the angle, in which opposite directions are the same
+/// and sums make sense; the third number stays.
+#[inline]
+pub(crate) fn doubled<const C: usize>(texel: &mut [f32; C]) {
+    if let [x, y, strength, ..] = &mut texel[..] {
+        let (u, v) = (*x, *y);
+        let squared = u * u + v * v;
+        // A zero vector has no direction to bring in.
+        let scale = if squared > 1e-12 { *strength / squared } else { 0.0 };
+        *x = (u * u - v * v) * scale;
+        *y = 2.0 * u * v * scale;
+    }
+}
+
+/// The inverse of [`doubled`], for a mean: its direction has the sense that is nearer to that of `like`, and its strength is what is
+/// left where directions differ. Where nothing is left, the direction is that of `like`.
+#[inline]
+pub(crate) fn halved<const C: usize>(texel: &mut [f32; C], like: &[f32; C]) {
+    if let ([x, y, strength, ..], [like_x, like_y, ..]) = (&mut texel[..], &like[..]) {
+        *strength = x.hypot(*y);
+        let angle = 0.5 * y.atan2(*x);
+        (*x, *y) = if *strength > 1e-6 { (angle.cos(), angle.sin()) } else { (*like_x, *like_y) };
+        if *x * like_x + *y * like_y < 0.0 {
+            (*x, *y) = (-*x, -*y);
+        }
     }
 }
 

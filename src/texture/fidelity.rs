@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::codec::Depth;
 use super::map::{Map, Maps, source_scale};
-use super::{Bake, Baked, Image, Samples, Source, Wrap};
+use super::{Bake, Baked, Direction, Image, Samples, Source, Wrap};
 use crate::atlas::{Charts, Topology};
 use crate::context::Context;
 use crate::error::{Failure, Result};
@@ -38,7 +38,7 @@ pub struct Fidelity {
     pub mip2_mean_error: f64,
     /// Largest error at mip level 2.
     pub mip2_max_error: f64,
-    /// For directions, the median angle between before and after, in degrees.
+    /// For directions, the median angle between before and after, in degrees; of an anisotropy, between the axes where it has a strength.
     pub angle_median_deg: Option<f64>,
     /// For directions, the 95th percentile of that angle, in degrees.
     pub angle_p95_deg: Option<f64>,
@@ -54,7 +54,7 @@ pub fn fidelity(job: &Bake<'_>, baked: &Baked, samples: u32, context: &Context) 
     let comparison = Comparison {
         job,
         pages: &baked.pages,
-        direction: job.slot.role.is_direction() && job.channels() >= 3,
+        direction: job.slot.role.direction().filter(|_| job.channels() >= 3),
         source_mips: job.sources.iter().map(|s| Mip::new(s.image)).collect(),
         scales: job.sources.iter().map(source_scale).collect(),
         page_mips: baked.pages.iter().map(Mip::new).collect(),
@@ -211,7 +211,7 @@ impl Texels for Mip {
 struct Comparison<'a> {
     job: &'a Bake<'a>,
     pages: &'a [Image],
-    direction: bool,
+    direction: Option<Direction>,
     /// By source.
     source_mips: Vec<Mip>,
     /// By source: its texels by reference texel.
@@ -266,16 +266,22 @@ impl Comparison<'_> {
         sums.mip_max = sums.mip_max.max(mip);
         sums.samples += 1;
         sums.exact += u32::from(self.is_exact(map, read, page, mix(self.maps.corners[f])));
-        if self.direction {
-            let vector = |v: [f64; 4]| DVec3::new(v[0], v[1], v[2]) * 2.0 - 1.0;
-            let (a, b) = (vector(old), vector(new));
-            sums.angles.push(a.cross(b).length().atan2(a.dot(b)).to_degrees());
+        let vector = |v: [f64; 4]| DVec3::new(v[0], v[1], v[2]) * 2.0 - 1.0;
+        let (a, b) = (vector(old), vector(new));
+        match self.direction {
+            Some(Direction::Normal) => sums.angles.push(a.cross(b).length().atan2(a.dot(b)).to_degrees()),
+            // Without strength there is no direction; opposite ones are the same.
+            Some(Direction::Anisotropy) if old[2] > 0.0 => {
+                let (a, b) = (a.truncate(), b.truncate());
+                sums.angles.push(a.perp_dot(b).abs().atan2(a.dot(b).abs()).to_degrees());
+            }
+            _ => {}
         }
     }
 
     /// An encoded value of the uploaded image as it stands on the new sheet: directions turn.
     fn turned(&self, value: [f64; 4], map: &Map) -> [f64; 4] {
-        if !self.direction {
+        if self.direction.is_none() {
             return value;
         }
         let r: DMat2 = map.rotation();

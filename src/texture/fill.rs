@@ -5,6 +5,7 @@
 
 use rayon::prelude::*;
 
+use super::Direction;
 use super::codec::{Codec, Depth, Space, alpha_channel};
 use crate::context::Context;
 use crate::error::Result;
@@ -133,10 +134,12 @@ pub(crate) fn fill<T: Depth, const C: usize>(
 
 /// What stands where nothing is known.
 fn nothing<const C: usize>(space: Space) -> [f32; C] {
-    std::array::from_fn(|c| {
-        let shown = alpha_channel(C) == Some(c) || (space == Space::Direction && c == 2);
-        f32::from(u8::from(shown))
-    })
+    let neutral = match space {
+        Space::Directed(Direction::Normal) => Some(2),
+        Space::Directed(Direction::Anisotropy) => Some(0),
+        _ => None,
+    };
+    std::array::from_fn(|c| f32::from(u8::from(alpha_channel(C) == Some(c) || neutral == Some(c))))
 }
 
 #[cfg(test)]

@@ -71,6 +71,16 @@ pub enum Role {
     SpecularGlossiness,
 }
 
+/// Kinds of texels that turn with their chart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Direction {
+    /// RGB is a unit vector in tangent space, `value * 2 - 1`.
+    Normal,
+    /// RG is a direction along the surface in tangent space, `value * 2 - 1`; B is a strength in 0..=1, which does not turn.
+    /// A direction and its opposite mean the same.
+    Anisotropy,
+}
+
 impl Role {
     /// The name in reports and file names.
     pub fn as_str(self) -> &'static str {
@@ -110,9 +120,18 @@ impl Role {
         )
     }
 
+    /// Which directions the texels are, if any: they turn with their chart.
+    pub fn direction(self) -> Option<Direction> {
+        match self {
+            Role::Normal | Role::ClearcoatNormal => Some(Direction::Normal),
+            Role::Anisotropy => Some(Direction::Anisotropy),
+            _ => None,
+        }
+    }
+
     /// Whether the texels are directions that turn with their chart.
     pub fn is_direction(self) -> bool {
-        matches!(self, Role::Normal | Role::ClearcoatNormal | Role::Anisotropy)
+        self.direction().is_some()
     }
 }
 

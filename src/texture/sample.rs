@@ -3,11 +3,14 @@
 //! Where density is kept or rises, the six-point cubic convolution of R. Keys ("Cubic Convolution Interpolation for Digital
 //! Image Processing", 1981, section V), which reproduces cubics; where it falls, the four-point kernel stretched over
 //! the new texel's parallelogram, so that nothing aliases. Both are held within the range of the nearest texels: masks do not ring.
+//! An anisotropy is interpolated as a renderer does it, by its components; the stretched kernel takes a direction and its
+//! opposite for the same, so that neither cancels the other.
 
 use glam::{DMat2, DVec2};
 
-use super::Wrap;
-use super::codec::{Codec, Depth, alpha_channel};
+use super::codec::{Codec, Depth, Space, alpha_channel};
+use super::direction::{doubled, halved};
+use super::{Direction, Wrap};
 
 /// Texels of the uploaded image by new texel, along the longer axis, from which the kernel is stretched.
 const MINIFIED: f64 = 1.2;
@@ -158,6 +161,7 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
         let (from, to) = (point - reach, point + reach);
         let mut out = [0.0; C];
         let mut total = 0.0;
+        let axes = self.codec.space == Space::Directed(Direction::Anisotropy);
         let (mut low, mut high) = ([f32::INFINITY; C], [f32::NEG_INFINITY; C]);
         for y in first(from.y)..=first(to.y) {
             for x in first(from.x)..=first(to.x) {
@@ -167,7 +171,10 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
                 if weight == 0.0 {
                     continue;
                 }
-                let value = self.at(self.index(x, y), self.codec);
+                let mut value = self.at(self.index(x, y), self.codec);
+                if axes {
+                    doubled(&mut value);
+                }
                 add(&mut out, weight, &value);
                 total += weight;
                 if k.x < 1.0 && k.y < 1.0 {
@@ -175,12 +182,15 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
                 }
             }
         }
+        let nearest = || self.at(self.index(point.x.floor() as i64, point.y.floor() as i64), self.codec);
         if total < 0.25 || low[0] > high[0] {
-            let index = self.index(point.x.floor() as i64, point.y.floor() as i64);
-            return self.at(index, self.codec);
+            return nearest();
         }
         out.iter_mut().for_each(|v| *v /= total);
         limit(&mut out, &low, &high);
+        if axes {
+            halved(&mut out, &nearest());
+        }
         out
     }
 }

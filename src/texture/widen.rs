@@ -1,6 +1,6 @@
 //! Images of several kinds made one, so that they can share a sheet.
 
-use super::{Image, Role, Samples};
+use super::{Direction, Image, Role, Samples};
 
 impl Image {
     /// The same picture with `channels` channels (1, 2, 3 or 4) and 8 or 16 bits: grey becomes RGB, alpha that is missing is
@@ -22,9 +22,13 @@ impl Image {
         Image { channels, samples, ..self }
     }
 
-    /// One texel that leaves a material as it is: white, or a direction that does not turn.
+    /// One texel that leaves a material as it is: white, a flat normal, or the full anisotropy along the tangent.
     pub fn neutral(role: Role, channels: u8, depth: u8) -> Image {
-        let flat: [u8; 4] = if role.is_direction() { [128, 128, 255, 255] } else { [255; 4] };
+        let flat: [u8; 4] = match role.direction() {
+            Some(Direction::Normal) => [128, 128, 255, 255],
+            Some(Direction::Anisotropy) => [255, 128, 255, 255],
+            None => [255; 4],
+        };
         let samples = Samples::U8(flat.into_iter().take(usize::from(channels)).collect());
         Image { width: 1, height: 1, channels, samples }.widened(channels, depth)
     }
