@@ -16,8 +16,6 @@ pub enum Code {
     InvalidImage,
     /// A stated limit is exceeded.
     TooLarge,
-    /// Nothing in the model can be refined (no triangles with UVs and textures).
-    NothingToRefine,
     /// An option is unknown, of the wrong type or out of its range.
     InvalidOptions,
     /// A `require` entry is not met.
@@ -49,7 +47,6 @@ impl Code {
             Code::MissingFile => "missing_file",
             Code::InvalidImage => "invalid_image",
             Code::TooLarge => "too_large",
-            Code::NothingToRefine => "nothing_to_refine",
             Code::InvalidOptions => "invalid_options",
             Code::RequirementNotMet => "requirement_not_met",
             Code::Canceled => "canceled",

@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use super::merge::Merging;
 use super::{ARRAY_BUFFER, Document, RawAccessor, Reading, Slot};
 use crate::texture::{Alpha, Format, Header, Image, Role, Samples, Wrap, encode};
 
@@ -36,7 +37,7 @@ pub(crate) fn document(images: &[[u32; 2]]) -> Document {
         json["materials"][0]["pbrMetallicRoughness"] = json!({ "baseColorTexture": { "index": 0 } });
     }
     let images = images.iter().map(|[w, h]| Some(png(*w, *h))).collect();
-    Document { json, buffers: Vec::new(), images, name: "model".to_owned() }
+    Document { json, buffers: Vec::new(), images, name: "model".to_owned(), merging: Merging::default() }
 }
 
 /// Appends a vertex attribute.

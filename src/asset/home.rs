@@ -9,8 +9,10 @@ use crate::refine::options::Tiling;
 use crate::texture::Wrap;
 
 /// Bounding boxes of the charts of a set may sum up to this many reference sheets once a chart is larger
-/// than a tile; what is more is not baked out.
+/// than a tile; what is more is not baked out, but for small textures.
 const MOST_SHEETS: f64 = 4.0;
+/// Bounding boxes with this many reference texels in all are baked out whatever they repeat.
+const MOST_TEXELS: f64 = 1_048_576.0;
 /// Sets whose charts cover less than this many square texels in all read single colours.
 const LEAST_AREA: f64 = 1.0;
 /// A chart may stick out of a tile by this many texels before it counts as repeating it.
@@ -20,14 +22,21 @@ const SHARED: u32 = u32::MAX - 1;
 /// A set without images, whose UVs may be in any unit, may cover this many of its virtual sheets.
 const MOST_VIRTUAL_SHEETS: f64 = 64.0;
 
-/// Moves charts by whole tiles into the first, where every slot repeats on that axis.
+/// Moves charts by whole tiles into the first, where every slot repeats on that axis. `constant` says that the images are of
+/// one colour each, so that UVs without area read them well.
 ///
 /// # Errors
 /// The warning with which the set passes through: a palette, or a chart that repeats its texture and may or can
 /// not be baked out.
-pub(crate) fn bring_home(atlas: &mut Atlas, slots: &[Slot], sheet: [u32; 2], tiling: Tiling) -> Result<(), Warning> {
+pub(crate) fn bring_home(
+    atlas: &mut Atlas,
+    slots: &[Slot],
+    sheet: [u32; 2],
+    tiling: Tiling,
+    constant: bool,
+) -> Result<(), Warning> {
     let area: f64 = atlas.faces().map(|f| atlas.uv_area(f).abs()).sum();
-    if area < LEAST_AREA {
+    if area < LEAST_AREA && !constant {
         let text = "the texture set is left as it is: its UVs have no area, so that it reads single texels";
         return Err(Warning::new("palette_texture", text));
     }
@@ -170,9 +179,12 @@ fn check_tiling(
     let sheets = sum / size.element_product();
     let most = if is_virtual { MOST_VIRTUAL_SHEETS } else { MOST_SHEETS };
     // Not a number where coordinates are beyond all measure.
-    if (larger(0) || larger(1)) && (sheets > most || sheets.is_nan()) {
+    // Small textures may be repeated more often.
+    let many = sheets > most && (is_virtual || sum > MOST_TEXELS);
+    if (larger(0) || larger(1)) && (many || sheets.is_nan()) {
         let text = format!(
-            "the texture set is left as it is: its charts spread over {sheets:.1} sheets, and at most {most} are made"
+            "the texture set is left as it is: its charts spread over {sheets:.1} sheets, and at most {most} are made, or \
+             {MOST_TEXELS} texels"
         );
         return Err(Warning::new("tiling_too_large", text));
     }
@@ -207,7 +219,7 @@ mod tests {
         let mut atlas = triangles(places);
         let readings = vec![crate::asset::Reading { wrap, primitives: vec![0] }];
         let slots = [crate::asset::Slot { readings, ..slot(0, SHEET) }];
-        bring_home(&mut atlas, &slots, SHEET, tiling).map_err(|w| w.code)?;
+        bring_home(&mut atlas, &slots, SHEET, tiling, false).map_err(|w| w.code)?;
         Ok(atlas.uv.chunks(3).map(|c| (c[0].x, c[0].y)).collect())
     }
 
@@ -238,7 +250,7 @@ mod tests {
         atlas.corners[1][0] = atlas.corners[0][1];
         atlas.surface.triangles[1][0] = atlas.surface.triangles[0][1];
         let before = [0, 1].map(|f| atlas.uv_area(FaceId(f)));
-        bring_home(&mut atlas, &[slot(0, SHEET)], SHEET, Tiling::Bake).unwrap();
+        bring_home(&mut atlas, &[slot(0, SHEET)], SHEET, Tiling::Bake, false).unwrap();
         assert_eq!([0, 1].map(|f| atlas.uv_area(FaceId(f))), before);
         assert_eq!(atlas.uv_triangle(FaceId(1))[0], DVec2::new(10.0, 5.0));
     }
@@ -249,7 +261,8 @@ mod tests {
         assert_eq!(tiling(120.0, Wrap::Repeat, Tiling::Bake), None);
         assert_eq!(tiling(120.0, Wrap::Repeat, Tiling::Leave).as_deref(), Some("tiling_left"));
         assert_eq!(tiling(120.0, Wrap::ClampToEdge, Tiling::Leave), None);
-        assert_eq!(tiling(150.0, Wrap::Repeat, Tiling::Bake).as_deref(), Some("tiling_too_large"));
+        assert_eq!(tiling(150.0, Wrap::Repeat, Tiling::Bake), None);
+        assert_eq!(tiling(1030.0, Wrap::Repeat, Tiling::Bake).as_deref(), Some("tiling_too_large"));
         assert_eq!(tiling(1e200, Wrap::ClampToEdge, Tiling::Bake).as_deref(), Some("tiling_too_large"));
         assert_eq!(tiling(0.01, Wrap::Repeat, Tiling::Bake).as_deref(), Some("palette_texture"));
     }

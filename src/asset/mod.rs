@@ -11,6 +11,7 @@ mod archive;
 mod glb;
 mod limits;
 mod load;
+mod merge;
 mod obj;
 mod prune;
 mod resolve;
@@ -18,6 +19,7 @@ pub mod sample;
 mod save;
 mod side_files;
 mod side_names;
+mod sources;
 mod structure;
 mod upload;
 mod uri;
@@ -30,6 +32,7 @@ pub use accessor_type::{ComponentType, Kind};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
 pub use limits::Limits;
 pub use load::{load, side_file};
+pub use merge::{Counts, Merge, Merged, MergedMaterial, Merging, finish as finish_merge, prepare as prepare_merge};
 pub use save::to_gltf;
 pub use side_files::read_paths;
 
@@ -75,6 +78,8 @@ pub struct Document {
     pub images: Vec<Option<Vec<u8>>>,
     /// Name of the uploaded model file without its extension.
     pub name: String,
+    /// What merging did to its images.
+    pub merging: Merging,
 }
 
 /// A primitive that takes part in a texture set.

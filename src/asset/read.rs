@@ -65,7 +65,8 @@ fn read_set(
         let text = "the texture set is left as it is: UVs leave the image, which is read with several wrap modes";
         return left(Warning::new("sampler_conflict", text).at(format!("/images/{image}")));
     }
-    if let Err(warning) = bring_home(&mut atlas, &planned.slots, planned.reference, options.tiling) {
+    let constant = !planned.slots.is_empty() && planned.slots.iter().all(|s| doc.merging.constants.contains(&s.image));
+    if let Err(warning) = bring_home(&mut atlas, &planned.slots, planned.reference, options.tiling, constant) {
         return left(warning);
     }
     let mut primitives = Vec::new();

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::Document;
 use super::limits::Limits;
+use super::merge::Merging;
 use super::structure::{self, list, whole};
 use super::upload::{Entry, Upload};
 use super::uri::{self, quote};
@@ -44,7 +45,8 @@ pub(crate) fn resolve(
     let lengths: Vec<usize> = buffers.iter().map(Vec::len).collect();
     structure::check(&json, &lengths, limits.max_input_bytes, warnings)?;
     check_triangles(&json, limits)?;
-    let mut document = Document { json, buffers, images: Vec::new(), name: uri::stem(&entry.path).to_owned() };
+    let name = uri::stem(&entry.path).to_owned();
+    let mut document = Document { json, buffers, images: Vec::new(), name, merging: Merging::default() };
     document.images = images(&document, &entry.path, upload, &mut budget, warnings)?;
     Ok(document)
 }

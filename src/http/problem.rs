@@ -19,7 +19,6 @@ pub fn status(code: Code) -> (StatusCode, &'static str) {
         Code::MissingFile => (StatusCode::UNPROCESSABLE_ENTITY, "A file that the model names is missing"),
         Code::InvalidImage => (StatusCode::UNPROCESSABLE_ENTITY, "An image is broken"),
         Code::TooLarge => (StatusCode::PAYLOAD_TOO_LARGE, "A limit is exceeded"),
-        Code::NothingToRefine => (StatusCode::UNPROCESSABLE_ENTITY, "Nothing in the model can be refined"),
         Code::InvalidOptions => (StatusCode::UNPROCESSABLE_ENTITY, "The options are not valid"),
         Code::RequirementNotMet => (StatusCode::UNPROCESSABLE_ENTITY, "A requirement is not met"),
         Code::Canceled => (StatusCode::CONFLICT, "The job was cancelled"),

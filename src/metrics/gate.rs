@@ -181,6 +181,7 @@ mod tests {
             atlases: efficiencies.iter().enumerate().map(atlas).collect(),
             textures: vec![],
             model: ModelReport { before: of(Some(0.5)), after: of(Some(0.75)) },
+            merged: Vec::new(),
             warnings: vec![],
         }
     }

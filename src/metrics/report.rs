@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::Measures;
+use crate::asset::Merged;
 use crate::error::Warning;
 use crate::texture::Format;
 
@@ -24,6 +25,8 @@ pub struct Report {
     pub textures: Vec<TextureReport>,
     /// All atlases together.
     pub model: ModelReport,
+    /// What merging did, model by model; empty where it was not asked for or the model does not let it.
+    pub merged: Vec<Merged>,
     /// What the user should know.
     pub warnings: Vec<Warning>,
 }

@@ -10,7 +10,7 @@ use super::options::{Options, Output};
 use super::report::{Refinement, report};
 use super::run::{Artifact, Input, Outcome};
 use super::textures::BakedSlot;
-use crate::asset::{self, BakedImage, Document, File, Refined};
+use crate::asset::{self, BakedImage, Document, File, Merged, Refined};
 use crate::atlas::{Atlas, FaceId};
 use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
@@ -33,7 +33,8 @@ pub(super) fn deliver(
     mut refinements: Vec<Refinement<'_>>,
     context: &Context,
 ) -> Result<Outcome> {
-    let documents = write(loaded, &mut refinements, context)?;
+    let mut documents = write(loaded, &mut refinements, context)?;
+    let merged = merge(loaded, &refinements, &mut documents)?;
     context.step(0.5, "measuring")?;
     let mut panels = Vec::new();
     if let Some(params) = &options.fabrication {
@@ -41,7 +42,8 @@ pub(super) fn deliver(
             panels.extend(panel_files(r, params, context));
         }
     }
-    let report = report(loaded, &refinements, true, context)?;
+    let mut report = report(loaded, &refinements, true, context)?;
+    report.merged = merged;
     let failures = unmet(&report, &options.require)?;
     let report = serde_json::to_value(&report).map_err(|e| Failure::internal(e.to_string()))?;
 
@@ -99,6 +101,18 @@ fn write(loaded: &Loaded, refinements: &mut [Refinement<'_>], context: &Context)
         r.atlas = atlas;
     }
     Ok(documents)
+}
+
+/// Makes what became equal one, in the models of which something was refined.
+fn merge(loaded: &Loaded, refinements: &[Refinement<'_>], documents: &mut [Document]) -> Result<Vec<Merged>> {
+    let mut merged = Vec::new();
+    for (index, (model, doc)) in loaded.models.iter().zip(documents).enumerate() {
+        let refined = refinements.iter().any(|r| !r.kept && r.group.members.iter().any(|m| m.model == index));
+        if let Some(merge) = model.merge.clone().filter(|_| refined) {
+            merged.push(asset::finish_merge(doc, merge)?);
+        }
+    }
+    Ok(merged)
 }
 
 /// The pages of a slot, for the slot of a member. Sets that share an Atlas share the files.

@@ -1,13 +1,13 @@
 //! From uploaded files to models and the groups of texture sets that are refined together.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::group::{Group, can_join};
 use super::importance::{Importance, Subject, importances};
 use super::options::Options;
 use super::run::Input;
 use super::textures::exempt_uniform;
-use crate::asset::{self, Document, File, TextureSet};
+use crate::asset::{self, Document, File, Merge, TextureSet};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
 
@@ -23,8 +23,10 @@ pub(super) struct Loaded {
 
 /// One model.
 pub(super) struct Model {
-    /// The document as read.
+    /// The document as read, and prepared where its texture sets are to be merged.
     pub doc: Document,
+    /// What is to be merged once it is written.
+    pub merge: Option<Merge>,
     /// Bytes of its files; files that several models come with count for each.
     pub bytes: u64,
     /// What it is called in warnings, where there are several.
@@ -41,8 +43,7 @@ impl Loaded {
 /// Reads the models. With `join`, the texture sets of several models become one group where they can.
 ///
 /// # Errors
-/// Those of the input, with the model's name where there are several; `nothing_to_refine` where no model has anything to
-/// refine; those of `importance`.
+/// Those of the input, with the model's name where there are several; those of `importance`.
 pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Context) -> Result<Loaded> {
     if input.models.is_empty() {
         return Err(Failure::new(Code::InvalidRequest, "there is no model"));
@@ -53,22 +54,23 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     for (index, files) in input.models.iter().enumerate() {
         let label = (count > 1).then(|| label(&input.models, index));
         context.speak_of(label.as_deref());
-        let own = read(files, count, input, options, context).map_err(|mut failure| {
+        let own = read(files, count, input, options, join && options.atlas.merge, context).map_err(|mut failure| {
             if let Some(label) = label.as_ref().filter(|_| failure.code != Code::Canceled) {
                 failure.message = format!("{label}: {}", failure.message);
             }
             failure
         });
-        let (doc, own) = own?;
+        let (doc, merge, own) = own?;
         sets.extend(own.into_iter().map(|set| (index, set)));
         let bytes = files.iter().map(|f| f.bytes.len() as u64).sum();
-        loaded.models.push(Model { doc, bytes, label });
+        loaded.models.push(Model { doc, merge, bytes, label });
         context.step(0.9 * (index + 1) as f64 / count as f64, "reading models")?;
     }
     context.speak_of(None);
     if sets.is_empty() && context.warnings().is_empty() {
-        let message = "the model has no triangles with texture coordinates that could be refined";
-        return Err(Failure::new(Code::NothingToRefine, message));
+        let text =
+            "the model passes through as it is: it has no triangles with texture coordinates that could be refined";
+        context.warn(Warning::new("nothing_to_refine", text));
     }
     let weights = match &options.importance {
         Some(source) => {
@@ -80,8 +82,13 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
         }
         None => vec![None; sets.len()],
     };
-    let join = join && count > 1;
-    for (model, set) in sets.iter().filter(|(_, set)| join && !can_join(set)) {
+    let join = match (join, count) {
+        (false, _) => Join::Nothing,
+        (true, 1) if options.atlas.merge => Join::Alike,
+        (true, 1) => Join::Nothing,
+        _ => Join::All,
+    };
+    for (model, set) in sets.iter().filter(|(_, set)| join != Join::Nothing && !can_join(set)) {
         loaded.speak_of(*model, context);
         let text = format!("the charts of {} spread too far for a shared sheet: it keeps its own atlas", set.name);
         context.warn(Warning::new("not_joined", text));
@@ -110,19 +117,28 @@ fn read(
     count: usize,
     input: &Input,
     options: &Options,
+    merging: bool,
     context: &Context,
-) -> Result<(Document, Vec<TextureSet>)> {
+) -> Result<(Document, Option<Merge>, Vec<TextureSet>)> {
     // Files that come with several models may be models themselves: the first is this one.
     let main = files.first().filter(|_| count > 1).map(|f| f.path.as_str());
-    let (doc, warnings) = asset::load(files, main, &input.limits)?;
+    let (mut doc, warnings) = asset::load(files, main, &input.limits)?;
     for warning in warnings {
         context.warn(warning);
+    }
+    let mut merge = None;
+    if merging {
+        merge = asset::prepare_merge(&mut doc, options.atlas.uv_set as usize)?;
+        if merge.is_none() {
+            let text = "the model is not merged: it uses an extension, or animates materials, that merging does not understand";
+            context.warn(Warning::new("not_merged", text));
+        }
     }
     let mut sets = asset::read(&doc, &options.atlas, context)?;
     for set in &mut sets {
         exempt_uniform(&doc, set, input.limits.max_image_pixels, context)?;
     }
-    Ok((doc, sets))
+    Ok((doc, merge, sets))
 }
 
 /// Files that several models come with count once.
@@ -132,16 +148,32 @@ fn total_bytes(models: &[Vec<File>]) -> u64 {
     all.filter(|f| seen.insert((f.path.as_str(), f.bytes.len()))).map(|f| f.bytes.len() as u64).sum()
 }
 
-/// Each set by itself; or all with images in one group, and all without in another.
-fn groups(sets: Vec<(usize, TextureSet)>, weights: Vec<Option<Importance>>, join: bool) -> Vec<Group> {
+/// Which texture sets share an atlas.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Join {
+    /// Each is one by itself.
+    Nothing,
+    /// Those with the same slots.
+    Alike,
+    /// All with images, and all without.
+    All,
+}
+
+/// The groups of sets, in the order of their first.
+fn groups(sets: Vec<(usize, TextureSet)>, weights: Vec<Option<Importance>>, join: Join) -> Vec<Group> {
     type Part = (usize, TextureSet, Option<Importance>);
     let mut parts: Vec<Vec<Part>> = Vec::new();
-    // Where the sets with and without images go.
-    let mut places: [Option<usize>; 2] = [None; 2];
+    // Where sets go, by whether they have images and by the names of their slots.
+    let mut places: BTreeMap<(bool, Vec<String>), usize> = BTreeMap::new();
     for ((model, set), weight) in sets.into_iter().zip(weights) {
-        let place = &mut places[usize::from(set.slots.is_empty())];
-        let joins = join && can_join(&set);
-        let index = if joins { *place.get_or_insert(parts.len()) } else { parts.len() };
+        let alike = |s: &TextureSet| s.slots.iter().filter(|s| !s.exempt).map(|s| s.name.clone()).collect();
+        let key = match join {
+            Join::Nothing => None,
+            Join::Alike => Some((true, alike(&set))).filter(|(_, names): &(bool, Vec<String>)| !names.is_empty()),
+            Join::All => Some((!set.slots.is_empty(), Vec::new())),
+        };
+        let key = key.filter(|_| can_join(&set));
+        let index = key.map_or(parts.len(), |key| *places.entry(key).or_insert(parts.len()));
         if index == parts.len() {
             parts.push(Vec::new());
         }

@@ -337,6 +337,9 @@ pub enum IfLarger {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AtlasOptions {
+    /// Whether texture sets of one model that have the same slots share an atlas, equal images, textures and materials become one,
+    /// factors of materials without textures go into the atlas, and what is drawn alike is drawn at once.
+    pub merge: bool,
     /// What happens to charts that share texels.
     pub overlaps: OverlapMode,
     /// What happens to charts that repeat their texture.
@@ -349,7 +352,13 @@ pub struct AtlasOptions {
 
 impl Default for AtlasOptions {
     fn default() -> Self {
-        AtlasOptions { overlaps: OverlapMode::Stack, tiling: Tiling::Bake, uv_set: 0, if_larger: IfLarger::KeepInput }
+        AtlasOptions {
+            merge: false,
+            overlaps: OverlapMode::Stack,
+            tiling: Tiling::Bake,
+            uv_set: 0,
+            if_larger: IfLarger::KeepInput,
+        }
     }
 }
 

@@ -184,7 +184,6 @@ fn section_over<T: Serialize + DeserializeOwned + Default>(
         let at = child(pointer, key);
         match standing(pointer, key, value) {
             Standing::Here => {}
-            Standing::Neutral => continue,
             Standing::Later => {
                 problems.push(not_yet(&at, &format!("`{key}`")));
                 continue;
@@ -311,16 +310,12 @@ fn stage_problem(pointer: &str, name: &str) -> Option<Problem> {
 /// Whether this version has a key.
 enum Standing {
     Here,
-    /// Not here, and its value asks for nothing: the same as leaving it out.
-    Neutral,
     /// Not here, and asked for.
     Later,
 }
 
 fn standing(parent: &str, key: &str, value: &Value) -> Standing {
     match (parent, key, value) {
-        ("/atlas", "merge", Value::Bool(false)) => Standing::Neutral,
-        ("/atlas", "merge", _) => Standing::Later,
         ("/texture", "format", Value::String(format)) if format == "webp" => Standing::Later,
         _ => Standing::Here,
     }
@@ -387,7 +382,7 @@ mod tests {
     fn every_problem_is_found_with_its_pointer() {
         let bad = json!({
             "pack": {"gutters": 2, "grid": 0, "rotation": "quater"}, "texture": {"jpeg_quality": 101, "mutliple_of": 4},
-            "atlas": {"merge": true, "uv_set": 9}, "importance": {"attribute": "COLOR_0.red"}, "time_limit_s": -1,
+            "atlas": {"merge": 1, "uv_set": 9}, "importance": {"attribute": "COLOR_0.red"}, "time_limit_s": -1,
             "require": {"atlas.charts": {}, "model.x/y": {"minimum": 1}}, "recipe": [{"stage": "pack", "grid": 2}, {"stage": "bounded"}],
             "seed": "x", "colour": 1,
         });
@@ -399,7 +394,7 @@ mod tests {
             ("/pack/rotation", "`quarter`"),
             ("/texture/jpeg_quality", "outside 1..=100"),
             ("/texture/mutliple_of", "`multiple_of`"),
-            ("/atlas/merge", "not available in this version"),
+            ("/atlas/merge", "boolean"),
             ("/atlas/uv_set", "outside 0..=7"),
             ("/importance/attribute", "such as COLOR_0.r"),
             ("/time_limit_s", "-1"),

@@ -131,6 +131,7 @@ pub(super) fn report(
         atlases,
         textures,
         model,
+        merged: Vec::new(),
         warnings: context.warnings(),
     })
 }
@@ -281,6 +282,6 @@ fn model_input(model: &Model) -> ModelInput {
         primitives: primitives().count() as u64,
         triangles: primitives().filter_map(count).sum(),
         materials: list("materials").len() as u64,
-        images: list("images").len() as u64,
+        images: (list("images").len() - model.doc.merging.constants.len().min(list("images").len())) as u64,
     }
 }

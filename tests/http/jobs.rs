@@ -133,10 +133,10 @@ fn same_input_same_bytes() {
 fn what_is_wrong_inside_the_model_fails_the_job() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);
-    let empty = glb(r#"{"asset": {"version": "2.0"}}"#);
-    let job = server.wait(&server.accepted(&Form::default().file("model", "empty.glb", &empty)));
+    let broken = glb(r#"{"asset": {"version": "2.0"}, "meshes": [{"primitives": [{"attributes": {"POSITION": 3}}]}]}"#);
+    let job = server.wait(&server.accepted(&Form::default().file("model", "broken.glb", &broken)));
     assert_eq!(job["state"], "failed");
-    assert_eq!(job["error"]["code"], "nothing_to_refine", "{job:#}");
+    assert_eq!(job["error"]["code"], "invalid_model", "{job:#}");
     assert!(!job["error"]["message"].as_str().unwrap().is_empty());
     assert_eq!((&job["error"]["failures"], &job["artifacts"]), (&json!([]), &json!([])));
 }

@@ -16,7 +16,8 @@ impl Scene {
     /// An empty scene.
     pub(crate) fn new(name: &str) -> Self {
         let json = json!({ "asset": { "version": "2.0", "generator": "intarsia sample" }, "scene": 0, "scenes": [{ "nodes": [] }] });
-        Scene { document: Document { json, buffers: Vec::new(), images: Vec::new(), name: name.to_owned() } }
+        let (buffers, images) = (Vec::new(), Vec::new());
+        Scene { document: Document { json, buffers, images, name: name.to_owned(), merging: Default::default() } }
     }
 
     /// Adds an object to a top-level array; gives its index.

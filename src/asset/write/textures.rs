@@ -9,6 +9,7 @@ use super::{BakedImage, Refined};
 use crate::asset::json::object_mut;
 use crate::asset::scan::{SOURCES, Scan, TextureUse};
 use crate::asset::sets::class;
+use crate::asset::sources::{drop_images, each_source};
 use crate::asset::{Document, Layout, Slot, transform};
 use crate::error::{Failure, Result};
 use crate::texture::{Format, Wrap};
@@ -173,25 +174,7 @@ impl<'a> Textures<'a> {
         if !self.scan.understood || self.replaced.is_empty() {
             return;
         }
-        let replaced = &self.replaced;
-        let gone = |image: usize| replaced.binary_search(&image).is_ok();
-        if let Some(images) = out.json.get_mut("images").and_then(Value::as_array_mut) {
-            let mut index = 0;
-            images.retain(|_| {
-                index += 1;
-                !gone(index - 1)
-            });
-        }
-        let mut index = 0;
-        out.images.retain(|_| {
-            index += 1;
-            !gone(index - 1)
-        });
-        each_source(&mut out.json, |source| {
-            if let Some(image) = source.as_u64() {
-                *source = Value::from(image - replaced.partition_point(|r| (*r as u64) < image) as u64);
-            }
-        });
+        drop_images(out, &self.replaced);
     }
 
     /// The material that stands for `material` on a page, for a primitive with this owner.
@@ -322,19 +305,6 @@ fn set_source(texture: &mut Map<String, Value>, image: usize, format: Option<For
         extensions["EXT_texture_webp"] = json!({ "source": image });
     } else {
         texture.insert("source".to_owned(), Value::from(image));
-    }
-}
-
-/// Calls `f` with every image index of the textures, those in extensions too.
-fn each_source(json: &mut Value, mut f: impl FnMut(&mut Value)) {
-    for texture in json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
-        if let Some(source) = texture.get_mut("source") {
-            f(source);
-        }
-        let extensions = texture.get_mut("extensions").and_then(Value::as_object_mut);
-        for source in extensions.into_iter().flat_map(|e| e.values_mut()).filter_map(|e| e.get_mut("source")) {
-            f(source);
-        }
     }
 }
 

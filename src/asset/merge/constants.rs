@@ -1,0 +1,240 @@
+//! Factors of materials without textures, put into small textures of one colour.
+
+use std::collections::BTreeSet;
+
+use serde_json::{Map, Value, json};
+
+use super::{MergedMaterial, is_textured};
+use crate::asset::json::{array, array_mut, object};
+use crate::asset::{ARRAY_BUFFER, Document, RawAccessor, accessor_count};
+use crate::error::Result;
+use crate::texture::{Format, Image, Samples, encode};
+
+/// Side of the texture that stands for factors, in texels.
+const SIDE: u32 = 4;
+
+/// Puts the factors of materials without textures into textures, where some textured material differs in nothing else. Gives the
+/// images made.
+///
+/// # Errors
+/// `invalid_model` for a broken accessor.
+pub(super) fn fold(doc: &mut Document, uv_set: usize, report: &mut [MergedMaterial]) -> Result<BTreeSet<usize>> {
+    let mut made = BTreeSet::new();
+    let materials = array(&doc.json, "materials").to_vec();
+    let textured: Vec<bool> = materials.iter().map(is_textured).collect();
+    for (m, material) in materials.iter().enumerate().filter(|(m, _)| !textured[*m]) {
+        let mut say = |why: &str| {
+            if let Some(entry) = report.get_mut(m) {
+                entry.kept = Some(why.to_owned());
+            }
+        };
+        let Some(primitives) = readers(doc, m, uv_set, &mut say) else { continue };
+        let hosts = materials.iter().enumerate().filter(|(h, _)| textured[*h]);
+        let fitting = hosts.filter_map(|(h, host)| Some((h, host, fit(material, host, uv_set)?))).next();
+        let Some((h, host, constants)) = fitting else {
+            say("no textured material differs in nothing but factors");
+            continue;
+        };
+        if let Some(entry) = report.get_mut(m) {
+            entry.folded = constants.iter().map(|c| c.factor.to_owned()).collect();
+            entry.rounding = constants.iter().map(|c| c.rounding).fold(0.0, f64::max);
+        }
+        let mut changed = host.clone();
+        for key in ["name", "extras"] {
+            match (material.get(key), changed.as_object_mut()) {
+                (Some(own), Some(object)) => drop(object.insert(key.to_owned(), own.clone())),
+                (None, Some(object)) => drop(object.shift_remove(key)),
+                _ => {}
+            }
+        }
+        for constant in &constants {
+            let texture = texture(doc, &materials[h], constant, &mut made)?;
+            if let Some(info) = changed.pointer_mut(constant.path) {
+                info["index"] = Value::from(texture);
+            }
+        }
+        doc.json["materials"][m] = changed;
+        for pointer in primitives {
+            let at = format!("{pointer}/attributes");
+            let count = doc.json.pointer(&at).and_then(|a| a.get("POSITION")?.as_u64());
+            let count = accessor_count(doc, count.unwrap_or(u64::MAX) as usize)?;
+            let uvs = RawAccessor::from_floats(&vec![[0.5f32; 2]; count]);
+            let accessor = doc.append_accessor(&uvs, Some(ARRAY_BUFFER), false);
+            if let Some(attributes) = doc.json.pointer_mut(&at).and_then(Value::as_object_mut) {
+                attributes.insert(format!("TEXCOORD_{uv_set}"), Value::from(accessor));
+            }
+        }
+    }
+    Ok(made)
+}
+
+/// The primitives that a material without textures is drawn on, where all of them can be given texture coordinates.
+fn readers(doc: &Document, material: usize, uv_set: usize, say: &mut dyn FnMut(&str)) -> Option<Vec<String>> {
+    let mut found = Vec::new();
+    for (m, mesh) in array(&doc.json, "meshes").iter().enumerate() {
+        for (p, primitive) in array(mesh, "primitives").iter().enumerate() {
+            let reads = primitive.get("material").and_then(Value::as_u64) == Some(material as u64);
+            let extended = object(primitive, "extensions").is_some_and(|e| !e.is_empty());
+            if extended && primitive.to_string().contains("\"material\"") {
+                say("a primitive has extensions that may name materials");
+                return None;
+            }
+            if !reads {
+                continue;
+            }
+            let triangles = matches!(primitive.get("mode").map_or(Some(4), Value::as_u64), Some(4..=6));
+            let attributes = object(primitive, "attributes");
+            let has = |name: &str| attributes.is_some_and(|a| a.contains_key(name));
+            let texcoord = attributes.is_some_and(|a| a.keys().any(|k| k.starts_with("TEXCOORD_")));
+            if !triangles || !has("POSITION") || texcoord || uv_set > 0 {
+                let why = if texcoord {
+                    "its surfaces have texture coordinates of their own"
+                } else {
+                    "it draws no triangles"
+                };
+                say(why);
+                return None;
+            }
+            found.push(format!("/meshes/{m}/primitives/{p}"));
+        }
+    }
+    if found.is_empty() {
+        say("nothing is drawn with it");
+        return None;
+    }
+    Some(found)
+}
+
+/// A texture of one colour.
+struct Constant {
+    /// Where the texture info stands in the host.
+    path: &'static str,
+    /// What it replaces.
+    factor: &'static str,
+    /// Its texel: 3 or 4 channels.
+    texel: Vec<u8>,
+    /// Largest error of a channel, in steps of 8 bits.
+    rounding: f64,
+}
+
+/// The textures that make `material` look as it is with all factors of `host`; none where the two differ in anything else.
+fn fit(material: &Value, host: &Value, uv_set: usize) -> Option<Vec<Constant>> {
+    const BASE: &str = "/pbrMetallicRoughness/baseColorTexture";
+    const ROUGH: &str = "/pbrMetallicRoughness/metallicRoughnessTexture";
+    let mut infos = Vec::new();
+    super::each_info(&mut host.clone(), &mut |info| infos.push(info.clone()));
+    let known: Vec<&Value> =
+        [BASE, ROUGH, "/occlusionTexture", "/emissiveTexture"].iter().filter_map(|p| host.pointer(p)).collect();
+    // Neither directions nor extensions, whose neutral texels are not exact or not known; one plain layout.
+    let plain = |i: &&Value| {
+        i.get("texCoord").and_then(Value::as_u64).unwrap_or(0) == uv_set as u64 && i.get("extensions").is_none()
+    };
+    if infos.len() != known.len() || !known.iter().all(plain) || host.pointer(BASE).is_none() {
+        return None;
+    }
+    if rest(material) != rest(host) {
+        return None;
+    }
+    let opaque = matches!(material.get("alphaMode").and_then(Value::as_str), None | Some("OPAQUE"));
+    let mut out = Vec::new();
+    let (own, theirs) = (
+        numbers(material, "/pbrMetallicRoughness/baseColorFactor", 4),
+        numbers(host, "/pbrMetallicRoughness/baseColorFactor", 4),
+    );
+    let channels = if opaque { 3 } else { 4 };
+    let colour: Option<Vec<f64>> = (0..channels).map(|c| ratio(own[c], theirs[c])).collect();
+    let colour: Vec<f64> = colour?.iter().enumerate().map(|(c, v)| if c < 3 { to_srgb(*v) } else { *v }).collect();
+    out.push(constant(BASE, "baseColorFactor", &colour));
+    let (metal, rough) = ("/pbrMetallicRoughness/metallicFactor", "/pbrMetallicRoughness/roughnessFactor");
+    let pair = |v: &Value| [numbers(v, rough, 1)[0], numbers(v, metal, 1)[0]];
+    let (own, theirs) = (pair(material), pair(host));
+    if host.pointer(ROUGH).is_some() {
+        out.push(constant(
+            ROUGH,
+            "metallicFactor, roughnessFactor",
+            &[1.0, ratio(own[0], theirs[0])?, ratio(own[1], theirs[1])?],
+        ));
+    } else if own != theirs {
+        return None;
+    }
+    if host.pointer("/occlusionTexture").is_some() {
+        out.push(constant("/occlusionTexture", "occlusion", &[1.0; 3]));
+    }
+    let glow = |v: &Value| match v.get("emissiveFactor") {
+        Some(_) => numbers(v, "/emissiveFactor", 3),
+        None => vec![0.0; 3],
+    };
+    let (own, theirs) = (glow(material), glow(host));
+    if host.get("emissiveTexture").is_some() {
+        let colour: Option<Vec<f64>> = (0..3).map(|c| ratio(own[c], theirs[c]).map(to_srgb)).collect();
+        out.push(constant("/emissiveTexture", "emissiveFactor", &colour?));
+    } else if own != theirs {
+        return None;
+    }
+    Some(out)
+}
+
+/// What must be equal: everything but names, factors and textures.
+fn rest(material: &Value) -> Map<String, Value> {
+    let mut rest = material.as_object().cloned().unwrap_or_default();
+    for key in ["name", "extras", "pbrMetallicRoughness", "occlusionTexture", "emissiveTexture", "emissiveFactor"] {
+        rest.shift_remove(key);
+    }
+    let defaults = [("alphaMode", json!("OPAQUE")), ("doubleSided", json!(false)), ("extensions", json!({}))];
+    for (key, default) in defaults {
+        if rest.get(key) == Some(&default) {
+            rest.shift_remove(key);
+        }
+    }
+    let mut sorted: Vec<(String, Value)> = rest.into_iter().collect();
+    sorted.sort_by(|a, b| a.0.cmp(&b.0));
+    sorted.into_iter().collect()
+}
+
+/// Numbers at a pointer; ones where there are none, as glTF's factors default to.
+fn numbers(value: &Value, pointer: &str, count: usize) -> Vec<f64> {
+    let found = value.pointer(pointer);
+    let at = |i: usize| match found {
+        Some(Value::Array(items)) => items.get(i).and_then(Value::as_f64),
+        Some(one) if count == 1 => one.as_f64(),
+        _ => None,
+    };
+    (0..count).map(|i| at(i).unwrap_or(1.0)).collect()
+}
+
+/// What a texel must hold so that `theirs` times it is `own`.
+fn ratio(own: f64, theirs: f64) -> Option<f64> {
+    let r = if own == theirs { 1.0 } else { own / theirs };
+    (0.0..=1.0).contains(&r).then_some(r)
+}
+
+/// The sRGB code, in 0..=1, of linear light.
+fn to_srgb(x: f64) -> f64 {
+    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
+}
+
+fn constant(path: &'static str, factor: &'static str, values: &[f64]) -> Constant {
+    let codes: Vec<f64> = values.iter().map(|v| v * 255.0).collect();
+    let rounding = codes.iter().map(|c| (c - c.round()).abs()).fold(0.0, f64::max);
+    Constant { path, factor, texel: codes.iter().map(|c| c.round() as u8).collect(), rounding }
+}
+
+/// Appends the texture of a constant, with the sampler of the host's.
+fn texture(doc: &mut Document, host: &Value, constant: &Constant, made: &mut BTreeSet<usize>) -> Result<usize> {
+    let samples = Samples::U8(constant.texel.repeat((SIDE * SIDE) as usize));
+    let image = Image { width: SIDE, height: SIDE, channels: constant.texel.len() as u8, samples };
+    let bytes = encode(&image, Format::Png, 100)?;
+    let index = doc.push("images", json!({ "mimeType": "image/png" }));
+    doc.images.resize(index, None);
+    doc.images.push(Some(bytes));
+    made.insert(index);
+    let theirs = host.pointer(constant.path).and_then(|i| i.get("index")?.as_u64());
+    let sampler = theirs.and_then(|t| doc.json.pointer(&format!("/textures/{t}/sampler")).cloned());
+    let mut texture = json!({ "source": index });
+    if let Some(sampler) = sampler {
+        texture["sampler"] = sampler;
+    }
+    let textures = array_mut(&mut doc.json, "textures")?;
+    textures.push(texture);
+    Ok(textures.len() - 1)
+}

@@ -1,0 +1,214 @@
+//! Draw calls: primitives of one mesh, and meshes of nodes that never move, drawn at once where nothing but their place differs.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use glam::{DMat4, DQuat, DVec3};
+use serde_json::Value;
+
+use super::join::{joined, key, triangles};
+use super::shown;
+use crate::asset::Document;
+use crate::asset::json::array;
+use crate::asset::scan::primitive_pointer;
+use crate::error::Result;
+
+/// A mesh that several nodes show is copied into another only where it has no more triangles than this.
+const MOST_COPIED: u64 = 256;
+/// Nodes below each other, at most.
+const DEEPEST: usize = 10_000;
+
+/// Puts primitives of each mesh together.
+///
+/// # Errors
+/// `invalid_model` for broken accessors.
+pub(super) fn within_meshes(doc: &mut Document) -> Result<()> {
+    for m in 0..array(&doc.json, "meshes").len() {
+        let primitives =
+            array(doc.json.pointer(&format!("/meshes/{m}")).unwrap_or(&Value::Null), "primitives").to_vec();
+        let mut groups: Vec<(Option<String>, Vec<Value>)> = Vec::new();
+        for primitive in primitives {
+            let key = key(doc, &primitive, false)?;
+            match groups.iter_mut().find(|(k, _)| k.is_some() && *k == key) {
+                Some((_, own)) => own.push(primitive),
+                None => groups.push((key, vec![primitive])),
+            }
+        }
+        if groups.iter().all(|(_, own)| own.len() == 1) {
+            continue;
+        }
+        let mut fresh = Vec::new();
+        for (_, own) in groups {
+            fresh.push(match <[Value; 1]>::try_from(own) {
+                Ok([one]) => one,
+                Err(own) => joined(doc, &own.into_iter().map(|p| (p, None)).collect::<Vec<_>>())?,
+            });
+        }
+        doc.json["meshes"][m]["primitives"] = Value::Array(fresh);
+    }
+    Ok(())
+}
+
+/// A node that shows a mesh and never moves.
+struct Still {
+    node: usize,
+    mesh: usize,
+    /// From the node's space to the scene's.
+    world: DMat4,
+}
+
+/// Puts primitives of nodes that never move together, into the mesh of the first. Nodes stay, whatever hangs from them too.
+///
+/// # Errors
+/// `invalid_model` for broken accessors.
+pub(super) fn across_nodes(doc: &mut Document) -> Result<()> {
+    let stills = stills(&doc.json);
+    let mut uses: BTreeMap<usize, usize> = BTreeMap::new();
+    shown(&doc.json).for_each(|m| *uses.entry(m).or_default() += 1);
+    // By key: the primitives, as (index into `stills`, primitive).
+    let mut groups: BTreeMap<String, Vec<(usize, usize)>> = BTreeMap::new();
+    for (s, still) in stills.iter().enumerate() {
+        let mesh = doc.json.pointer(&format!("/meshes/{}", still.mesh)).unwrap_or(&Value::Null);
+        for (p, primitive) in array(mesh, "primitives").iter().enumerate() {
+            let shared = uses.get(&still.mesh).is_some_and(|n| *n > 1);
+            if shared && triangles(doc, primitive)? > MOST_COPIED {
+                continue;
+            }
+            if let Some(key) = key(doc, primitive, true)? {
+                groups.entry(key).or_default().push((s, p));
+            }
+        }
+    }
+    let mut order: Vec<Vec<(usize, usize)>> =
+        groups.into_values().filter(|g| g.iter().any(|m| m.0 != g[0].0)).collect();
+    order.sort();
+    // By still: what its primitives become; none for those that went elsewhere.
+    let mut fresh: BTreeMap<usize, Vec<Option<Value>>> = BTreeMap::new();
+    for group in order {
+        let host = &stills[group[0].0];
+        let inverse = host.world.inverse();
+        if !inverse.is_finite() {
+            continue;
+        }
+        let mut parts = Vec::new();
+        for &(s, p) in &group {
+            let still = &stills[s];
+            let value = doc.json.pointer(&primitive_pointer(still.mesh, p)).cloned().unwrap_or(Value::Null);
+            // The host's own stay bit by bit.
+            let transform = (still.node != host.node).then(|| inverse * still.world);
+            parts.push((value, transform));
+        }
+        let one = joined(doc, &parts)?;
+        for &(s, p) in &group {
+            let mesh = doc.json.pointer(&format!("/meshes/{}", stills[s].mesh)).unwrap_or(&Value::Null);
+            let uploaded = || array(mesh, "primitives").iter().cloned().map(Some).collect();
+            fresh.entry(s).or_insert_with(uploaded)[p] = None;
+        }
+        if let Some(own) = fresh.get_mut(&group[0].0) {
+            own[group[0].1] = Some(one);
+        }
+    }
+    for (s, primitives) in fresh {
+        let left: Vec<Value> = primitives.into_iter().flatten().collect();
+        let node = stills[s].node;
+        if left.is_empty() {
+            if let Some(object) = doc.json["nodes"][node].as_object_mut() {
+                object.shift_remove("mesh");
+            }
+            continue;
+        }
+        let mut mesh = stills[s].mesh;
+        if uses.get(&mesh).is_some_and(|n| *n > 1) {
+            let clone = doc.json["meshes"][mesh].clone();
+            mesh = doc.push("meshes", clone);
+            doc.json["nodes"][node]["mesh"] = Value::from(mesh);
+        }
+        doc.json["meshes"][mesh]["primitives"] = Value::Array(left);
+    }
+    drop_unused_meshes(doc, &uses);
+    Ok(())
+}
+
+/// Takes out the meshes that no node shows any more.
+fn drop_unused_meshes(doc: &mut Document, before: &BTreeMap<usize, usize>) {
+    let after: BTreeSet<usize> = shown(&doc.json).collect();
+    let gone = |m: usize| before.contains_key(&m) && !after.contains(&m);
+    let count = array(&doc.json, "meshes").len();
+    let mut number = vec![0u64; count];
+    let mut next = 0;
+    for (m, number) in number.iter_mut().enumerate() {
+        *number = next;
+        next += u64::from(!gone(m));
+    }
+    if next as usize == count {
+        return;
+    }
+    if let Some(meshes) = doc.json.get_mut("meshes").and_then(Value::as_array_mut) {
+        let mut m = 0;
+        meshes.retain(|_| {
+            m += 1;
+            !gone(m - 1)
+        });
+    }
+    for node in doc.json.get_mut("nodes").and_then(Value::as_array_mut).into_iter().flatten() {
+        if let Some(mesh) = node.get_mut("mesh")
+            && let Some(new) = mesh.as_u64().and_then(|m| number.get(m as usize))
+            && mesh.as_u64() != Some(*new)
+        {
+            *mesh = Value::from(*new);
+        }
+    }
+}
+
+/// Nodes with a mesh, without skin, weights or extensions, that no animation moves, nor what they hang from, in the order of
+/// the one scene; empty where there are several.
+fn stills(json: &Value) -> Vec<Still> {
+    let (nodes, scenes) = (array(json, "nodes"), array(json, "scenes"));
+    let [scene] = scenes else { return Vec::new() };
+    let number = |v: &Value| v.as_u64().and_then(|n| usize::try_from(n).ok()).filter(|n| *n < nodes.len());
+    let mut moving: BTreeSet<usize> = BTreeSet::new();
+    for animation in array(json, "animations") {
+        moving.extend(array(animation, "channels").iter().filter_map(|c| c.pointer("/target/node").and_then(number)));
+        // A pointer may move anything.
+        let pointers = array(animation, "channels").iter();
+        if pointers.into_iter().any(|c| c.pointer("/target/extensions").is_some()) {
+            return Vec::new();
+        }
+    }
+    for skin in array(json, "skins") {
+        moving.extend(array(skin, "joints").iter().filter_map(number));
+    }
+    let mut seen = BTreeSet::new();
+    let mut out = Vec::new();
+    let mut stack: Vec<(usize, DMat4, usize)> = Vec::new();
+    stack.extend(array(scene, "nodes").iter().rev().filter_map(number).map(|n| (n, DMat4::IDENTITY, 0)));
+    while let Some((n, parent, depth)) = stack.pop() {
+        if !seen.insert(n) || depth > DEEPEST || moving.contains(&n) {
+            continue;
+        }
+        let node = &nodes[n];
+        let world = parent * local(node);
+        stack.extend(array(node, "children").iter().rev().filter_map(number).map(|c| (c, world, depth + 1)));
+        let plain = ["skin", "weights", "extensions"].iter().all(|k| node.get(*k).is_none());
+        let mesh = node.get("mesh").and_then(Value::as_u64).and_then(|m| usize::try_from(m).ok());
+        let mesh = mesh.filter(|m| array(json, "meshes").get(*m).is_some_and(|mesh| mesh.get("weights").is_none()));
+        if let Some(mesh) = mesh.filter(|_| plain && world.is_finite()) {
+            out.push(Still { node: n, mesh, world });
+        }
+    }
+    out
+}
+
+/// A node's transform.
+fn local(node: &Value) -> DMat4 {
+    let numbers = |key: &str| -> Option<Vec<f64>> { node.get(key)?.as_array()?.iter().map(Value::as_f64).collect() };
+    if let Some(Ok(matrix)) = numbers("matrix").map(<[f64; 16]>::try_from) {
+        return DMat4::from_cols_array(&matrix);
+    }
+    let three = |key: &str, default: DVec3| {
+        numbers(key).and_then(|v| <[f64; 3]>::try_from(v).ok()).map_or(default, DVec3::from_array)
+    };
+    let rotation =
+        numbers("rotation").and_then(|v| <[f64; 4]>::try_from(v).ok()).map_or(DQuat::IDENTITY, DQuat::from_array);
+    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
+    DMat4::from_scale_rotation_translation(three("scale", DVec3::ONE), rotation, three("translation", DVec3::ZERO))
+}

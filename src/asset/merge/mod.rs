@@ -1,0 +1,196 @@
+//! Merging (`atlas.merge`): fewer textures, materials and draw calls for the same look.
+//!
+//! [`prepare`] makes equal images one and puts the factors of materials without textures into small textures, so that their
+//! surfaces can lie on the same sheet as others; the texture sets of the document are then joined like those of several
+//! models. [`finish`] goes over the written document: equal textures and materials become one, and what is drawn
+//! alike is drawn at once. Only documents of which every extension is understood are merged.
+
+mod constants;
+mod draws;
+mod equal;
+mod join;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::Document;
+use super::json::array;
+use super::prune;
+use super::scan::{Scan, scan};
+use super::sources::{drop_images, each_source};
+use crate::error::{Failure, Result};
+
+/// What merging did to a model.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Merged {
+    /// Draw calls of the scenes: primitives times the nodes that show them.
+    pub draw_calls: Counts,
+    /// Images that a material reads.
+    pub images: Counts,
+    /// Textures that a material reads.
+    pub textures: Counts,
+    /// What became of each material.
+    pub materials: Vec<MergedMaterial>,
+}
+
+/// A number before and after.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Counts {
+    /// As uploaded.
+    pub before: u64,
+    /// As delivered.
+    pub after: u64,
+}
+
+/// What merging did to a material.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct MergedMaterial {
+    /// Index into the model's `materials`.
+    pub material: u64,
+    /// Its name, where it has one.
+    pub name: Option<String>,
+    /// The material that its surfaces have now: another where the two became equal.
+    pub now: u64,
+    /// Factors that were put into textures.
+    pub folded: Vec<String>,
+    /// Largest error of a folded factor, in steps of an 8-bit texel: at most 0.5.
+    pub rounding: f64,
+    /// Why it stays by itself, where it does.
+    pub kept: Option<String>,
+}
+
+/// A document on its way through merging.
+#[derive(Debug, Clone)]
+pub struct Merge(Merged);
+
+/// Images that merging changed the standing of, by index.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Merging {
+    /// Made of factors: surfaces read them at one point.
+    pub constants: BTreeSet<usize>,
+    /// Equal to others, which stand in for them.
+    pub spare: BTreeSet<usize>,
+}
+
+/// Makes equal images and textures one, and textures of factors. `uv_set` is the TEXCOORD set that is refined. None, with the
+/// document untouched, where an extension is not understood.
+///
+/// # Errors
+/// `invalid_model` with a pointer for a broken document.
+pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
+    let mut channels = array(&doc.json, "animations").iter().flat_map(|a| array(a, "channels"));
+    // An animation by pointer names materials and textures one by one.
+    if !prune::is_understood(&doc.json) || channels.any(|c| c.pointer("/target/extensions").is_some()) {
+        return Ok(None);
+    }
+    let scan = scan(doc)?;
+    let mut merged = Merged::default();
+    merged.draw_calls.before = draw_calls(&doc.json);
+    [merged.images.before, merged.textures.before] = read_by_materials(&scan);
+    let materials = array(&doc.json, "materials").iter().enumerate();
+    merged.materials = materials
+        .map(|(i, value)| MergedMaterial {
+            material: i as u64,
+            name: value.get("name").and_then(Value::as_str).map(str::to_owned),
+            now: i as u64,
+            folded: Vec::new(),
+            rounding: 0.0,
+            kept: None,
+        })
+        .collect();
+    let named = named_by_textures(doc);
+    equal::images(doc, &scan);
+    let left = named_by_textures(doc);
+    doc.merging.spare = named.difference(&left).copied().collect();
+    equal::textures(doc)?;
+    doc.merging.constants = constants::fold(doc, uv_set, &mut merged.materials)?;
+    Ok(Some(Merge(merged)))
+}
+
+/// Makes what became equal in the written document one.
+///
+/// # Errors
+/// `internal` where triangles would be lost; `invalid_model` for a broken document.
+pub fn finish(doc: &mut Document, merge: Merge) -> Result<Merged> {
+    let Merge(mut merged) = merge;
+    let triangles = drawn_triangles(doc)?;
+    equal::textures(doc)?;
+    let read = named_by_textures(doc);
+    let gone: Vec<usize> = doc.merging.spare.difference(&read).copied().collect();
+    drop_images(doc, &gone);
+    let now = equal::materials(doc)?;
+    for material in &mut merged.materials {
+        material.now = now.get(material.material as usize).map_or(material.material, |m| *m as u64);
+    }
+    draws::within_meshes(doc)?;
+    draws::across_nodes(doc)?;
+    if drawn_triangles(doc)? != triangles {
+        return Err(Failure::internal("joining draw calls lost triangles"));
+    }
+    let scan = scan(doc)?;
+    merged.draw_calls.after = draw_calls(&doc.json);
+    [merged.images.after, merged.textures.after] = read_by_materials(&scan);
+    Ok(merged)
+}
+
+/// Images that textures name.
+fn named_by_textures(doc: &mut Document) -> BTreeSet<usize> {
+    let mut named = BTreeSet::new();
+    each_source(&mut doc.json, |source| named.extend(source.as_u64().and_then(|i| usize::try_from(i).ok())));
+    named
+}
+
+/// Images and textures that the primitives' materials read.
+fn read_by_materials(scan: &Scan) -> [u64; 2] {
+    let used: BTreeSet<usize> = scan.primitives.iter().flat_map(|p| p.materials.iter().copied()).collect();
+    let uses = used.iter().filter_map(|m| scan.materials.get(*m)).flat_map(|m| &m.uses);
+    let textures: BTreeSet<usize> = uses.map(|u| u.texture).collect();
+    let images: BTreeSet<usize> = textures.iter().filter_map(|t| scan.textures.get(*t)?.image).collect();
+    [images.len() as u64, textures.len() as u64]
+}
+
+/// The meshes that nodes show, each as often as it is shown.
+fn shown(json: &Value) -> impl Iterator<Item = usize> {
+    array(json, "nodes").iter().filter_map(|n| n.get("mesh")?.as_u64().and_then(|m| usize::try_from(m).ok()))
+}
+
+fn draw_calls(json: &Value) -> u64 {
+    let meshes = array(json, "meshes");
+    shown(json).filter_map(|m| Some(array(meshes.get(m)?, "primitives").len() as u64)).sum()
+}
+
+/// Triangles of all nodes' meshes, by the primitives' declared counts.
+fn drawn_triangles(doc: &Document) -> Result<u64> {
+    let mut sum = 0u64;
+    for mesh in shown(&doc.json) {
+        for primitive in array(doc.json.pointer(&format!("/meshes/{mesh}")).unwrap_or(&Value::Null), "primitives") {
+            sum = sum.saturating_add(join::triangles(doc, primitive)?);
+        }
+    }
+    Ok(sum)
+}
+
+/// Calls `f` with every texture info of a material, those in extensions too.
+fn each_info(material: &mut Value, f: &mut impl FnMut(&mut Value)) {
+    let Some(map) = material.as_object_mut() else { return };
+    for (key, child) in map {
+        if key == "extras" {
+            continue;
+        }
+        if key.ends_with("exture") && child.get("index").is_some_and(Value::is_u64) {
+            f(child);
+        }
+        each_info(child, f);
+    }
+}
+
+/// Whether a material reads any texture.
+fn is_textured(material: &Value) -> bool {
+    let mut found = false;
+    each_info(&mut material.clone(), &mut |_| found = true);
+    found
+}
