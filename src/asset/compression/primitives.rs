@@ -1,0 +1,213 @@
+//! Primitives with a Draco stream.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::draco::{self, Bounds};
+use super::{DRACO, decompressed, extension, remove_extension, undeclare};
+use crate::asset::accessor::RawAccessor;
+use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, set_bounds};
+use crate::asset::resolve::Budget;
+use crate::asset::structure::{self, list, needed, whole};
+use crate::asset::{ComponentType, Document, Kind, Limits};
+use crate::error::{Code, Failure, Result, Warning};
+
+/// Bytes that the attributes of one vertex may take in a stream: it may hold more than the primitive names.
+const MOST_VERTEX_BYTES: u64 = 1024;
+
+/// A compressed primitive.
+struct Job {
+    mesh: usize,
+    primitive: usize,
+    /// JSON pointer of the extension.
+    pointer: String,
+    /// Buffer view of the stream.
+    view: usize,
+    /// Name, accessor and number in the stream of each attribute.
+    attributes: Vec<(String, usize, u32)>,
+    /// Accessor of the indices.
+    indices: Option<usize>,
+}
+
+/// What fills an accessor: a buffer view and an attribute's number in it, or its indices.
+type Filler = (usize, Option<u32>);
+
+/// Decodes every compressed primitive into the accessors that it names. One that has other contents too, because another
+/// primitive shares it or because it is there uncompressed as well, is left alone, and the primitive gets its own.
+///
+/// # Errors
+/// `invalid_model` with a pointer for a broken extension or stream, or one that does not hold what the accessors declare;
+/// `unsupported_extension` for anything but triangles; `too_large` beyond the limits; and what `check` says.
+pub(crate) fn primitives(
+    document: &mut Document,
+    limits: &Limits,
+    budget: &mut Budget,
+    warnings: &mut Vec<Warning>,
+    check: &dyn Fn() -> Result<()>,
+) -> Result<()> {
+    let jobs = jobs(&document.json)?;
+    let mut filled: BTreeMap<usize, Filler> = BTreeMap::new();
+    let mut streams: BTreeMap<usize, usize> = BTreeMap::new();
+    let mut after = 0;
+    for job in &jobs {
+        check()?;
+        after += decode(document, job, limits, budget, &mut filled, check)?;
+        streams.insert(job.view, structure::view(&document.json, job.view)?.length);
+    }
+    undeclare(&mut document.json, DRACO);
+    if !jobs.is_empty() {
+        warnings.push(decompressed(DRACO, streams.values().sum(), after));
+    }
+    Ok(())
+}
+
+fn jobs(json: &Value) -> Result<Vec<Job>> {
+    let mut jobs = Vec::new();
+    for (mesh, object) in list(json, "meshes")?.iter().enumerate() {
+        let primitives = object.get("primitives").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+        for (primitive, object) in primitives.iter().enumerate() {
+            let own = format!("/meshes/{mesh}/primitives/{primitive}");
+            if let Some(job) = job(object, &own, mesh, primitive)? {
+                jobs.push(job);
+            }
+        }
+    }
+    Ok(jobs)
+}
+
+fn job(object: &Value, own: &str, mesh: usize, primitive: usize) -> Result<Option<Job>> {
+    let Some(found) = extension(object, DRACO, own)? else { return Ok(None) };
+    let pointer = format!("{own}/extensions/{DRACO}");
+    if object.get("mode").is_some_and(|mode| mode.as_u64() != Some(4)) {
+        let message = "only triangles are read from Draco streams: the mode of the primitive is another";
+        return Err(Failure::new(Code::UnsupportedExtension, message).at(format!("{own}/mode")));
+    }
+    let at_attributes = format!("{pointer}/attributes");
+    let ids = found.get("attributes").and_then(Value::as_object);
+    let ids = ids.ok_or_else(|| Failure::model("an object is expected here").at(at_attributes.clone()))?;
+    let plain = object.get("attributes").and_then(Value::as_object);
+    let mut attributes = Vec::new();
+    for name in ids.keys() {
+        let id = needed(ids, name, &at_attributes)?;
+        let accessor = plain.map(|p| whole(p, name, &format!("{own}/attributes"))).transpose()?.flatten();
+        let accessor = accessor.ok_or_else(|| {
+            Failure::model(format!("{name} is compressed, and the primitive has no such attribute")).at(&*pointer)
+        })?;
+        let id = u32::try_from(id).map_err(|_| Failure::model("this is no attribute's number").at(&*at_attributes))?;
+        attributes.push((name.clone(), accessor, id));
+    }
+    let empty = serde_json::Map::new();
+    let indices = whole(object.as_object().unwrap_or(&empty), "indices", own)?;
+    let view = needed(found, "bufferView", &pointer)?;
+    Ok(Some(Job { mesh, primitive, pointer, view, attributes, indices }))
+}
+
+/// Decodes one primitive; gives the bytes of its elements.
+fn decode(
+    document: &mut Document,
+    job: &Job,
+    limits: &Limits,
+    budget: &mut Budget,
+    filled: &mut BTreeMap<usize, Filler>,
+    check: &dyn Fn() -> Result<()>,
+) -> Result<usize> {
+    let own = format!("/meshes/{}/primitives/{}", job.mesh, job.primitive);
+    let mut vertices = 0;
+    let mut bytes = 0;
+    for (_, index, _) in &job.attributes {
+        let accessor = structure::accessor(&document.json, *index)?;
+        vertices = vertices.max(accessor.count);
+        bytes += accessor.count * accessor.element_size().next_multiple_of(4);
+    }
+    let faces = match job.indices {
+        Some(index) => {
+            let accessor = structure::accessor(&document.json, index)?;
+            bytes += accessor.count * accessor.element_size();
+            accessor.count as u64 / 3
+        }
+        None => limits.max_triangles,
+    };
+    budget.charge(bytes, &job.pointer)?;
+    let bounds =
+        Bounds { faces, bytes: (vertices as u64).saturating_mul(MOST_VERTEX_BYTES).min(limits.max_input_bytes) };
+    let stream = document.view_bytes(job.view).map_err(|e| e.at(format!("{}/bufferView", job.pointer)))?;
+    let mesh = draco::decode(stream, bounds, check).map_err(|e| match e.code {
+        Code::Canceled => e,
+        _ => e.at(job.pointer.clone()),
+    })?;
+
+    let mut after = 0;
+    for (name, index, id) in &job.attributes {
+        let accessor = structure::accessor(&document.json, *index)?;
+        let raw = draco::attribute(&mesh, *id, &accessor).map_err(|why| mismatch(*index, name, &why))?;
+        after += raw.data.len();
+        let bounds = name == "POSITION" || document.json["accessors"][*index].get("min").is_some();
+        let place = fill(document, *index, &raw, ARRAY_BUFFER, bounds, (job.view, Some(*id)), filled);
+        document.json["meshes"][job.mesh]["primitives"][job.primitive]["attributes"][name.as_str()] =
+            Value::from(place);
+    }
+    let place = match job.indices {
+        Some(index) => {
+            let accessor = structure::accessor(&document.json, index)?;
+            let raw = draco::indices(&mesh, &accessor).map_err(|why| mismatch(index, "indices", &why))?;
+            after += raw.data.len();
+            let bounds = document.json["accessors"][index].get("min").is_some();
+            fill(document, index, &raw, ELEMENT_ARRAY_BUFFER, bounds, (job.view, None), filled)
+        }
+        None => {
+            let wide = structure::Accessor {
+                component: ComponentType::U32,
+                kind: Kind::Scalar,
+                normalized: false,
+                count: 3 * mesh.num_faces(),
+                view: None,
+                offset: 0,
+                sparse: None,
+            };
+            budget.charge(wide.count * wide.element_size(), &job.pointer)?;
+            let raw = draco::indices(&mesh, &wide).map_err(|why| Failure::model(why).at(own.clone()))?;
+            after += raw.data.len();
+            document.append_accessor(&raw, Some(ELEMENT_ARRAY_BUFFER), false)
+        }
+    };
+    let primitive = &mut document.json["meshes"][job.mesh]["primitives"][job.primitive];
+    primitive["indices"] = Value::from(place);
+    remove_extension(primitive, DRACO);
+    Ok(after)
+}
+
+fn mismatch(accessor: usize, name: &str, why: &str) -> Failure {
+    Failure::model(format!("{name}: {why}")).at(format!("/accessors/{accessor}"))
+}
+
+/// Puts elements into an accessor that is empty, or into a copy of one that is not; gives its index.
+fn fill(
+    document: &mut Document,
+    index: usize,
+    raw: &RawAccessor,
+    target: u32,
+    bounds: bool,
+    filler: Filler,
+    filled: &mut BTreeMap<usize, Filler>,
+) -> usize {
+    if filled.get(&index) == Some(&filler) {
+        return index;
+    }
+    let mut object = document.json["accessors"][index].clone();
+    let view = document.append_elements(raw, Some(target));
+    let taken = object.get("bufferView").is_some();
+    if let Some(fields) = object.as_object_mut() {
+        fields.shift_remove("byteOffset");
+    }
+    object["bufferView"] = Value::from(view);
+    if bounds {
+        set_bounds(&mut object, raw);
+    }
+    if taken {
+        return document.push("accessors", object);
+    }
+    filled.insert(index, filler);
+    document.json["accessors"][index] = object;
+    index
+}
