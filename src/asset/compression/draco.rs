@@ -78,10 +78,10 @@ pub(super) fn indices(mesh: &Mesh, accessor: &Accessor) -> std::result::Result<R
             ComponentType::U8 => data.extend(u8::try_from(value).map(u8::to_le_bytes).map_err(|_| wide(value))?),
             ComponentType::U16 => data.extend(u16::try_from(value).map(u16::to_le_bytes).map_err(|_| wide(value))?),
             ComponentType::U32 => data.extend(value.to_le_bytes()),
-            _ => return Err("indices are unsigned integers".to_owned()),
+            _ => return Err("indices have componentType 5121, 5123 or 5125".to_owned()),
         }
     }
-    filled(accessor, data)
+    Ok(filled(accessor, data))
 }
 
 fn wide(value: u32) -> String {
@@ -111,23 +111,19 @@ pub(super) fn attribute(mesh: &Mesh, id: u32, accessor: &Accessor) -> std::resul
         let bytes = bytes.ok_or("the Draco attribute has fewer values than the stream has vertices")?;
         convert(found, bytes, accessor.component, &mut data)?;
     }
-    filled(accessor, data)
+    Ok(filled(accessor, data))
 }
 
-fn filled(accessor: &Accessor, data: Vec<u8>) -> std::result::Result<RawAccessor, String> {
+fn filled(accessor: &Accessor, data: Vec<u8>) -> RawAccessor {
     let element_size = accessor.element_size();
-    let count = data.len() / element_size.max(1);
-    if count != accessor.count {
-        return Err(format!("the Draco stream holds {count} elements, and the accessor declares {}", accessor.count));
-    }
-    Ok(RawAccessor {
+    RawAccessor {
         component_type: accessor.component,
         kind: accessor.kind,
         normalized: accessor.normalized,
         element_size,
-        count,
+        count: data.len() / element_size.max(1),
         data,
-    })
+    }
 }
 
 /// Appends one value in the accessor's type: its bits where the types are the same, its number where they are not.

@@ -75,3 +75,6 @@ fn word<T: Copy>(object: &Map<String, Value>, key: &str, words: &[(&str, T)], po
         Failure::model(message).at(format!("{pointer}/{key}"))
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -9,7 +9,7 @@ use super::{DRACO, decompressed, extension, remove_extension, undeclare};
 use crate::asset::accessor::RawAccessor;
 use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, set_bounds};
 use crate::asset::resolve::Budget;
-use crate::asset::structure::{self, list, needed, whole};
+use crate::asset::structure::{self, Accessor, list, needed, whole};
 use crate::asset::{ComponentType, Document, Kind, Limits};
 use crate::error::{Code, Failure, Result, Warning};
 
@@ -28,6 +28,8 @@ struct Job {
     attributes: Vec<(String, usize, u32)>,
     /// Accessor of the indices.
     indices: Option<usize>,
+    /// Whether it has attributes or morph targets outside the stream, whose elements go with those inside.
+    mixed: bool,
 }
 
 /// What fills an accessor: a buffer view and an attribute's number in it, or its indices.
@@ -37,7 +39,7 @@ type Filler = (usize, Option<u32>);
 /// primitive shares it or because it is there uncompressed as well, is left alone, and the primitive gets its own.
 ///
 /// # Errors
-/// `invalid_model` with a pointer for a broken extension or stream, or one that does not hold what the accessors declare;
+/// `invalid_model` with a pointer for a broken extension or stream, or one that holds more than the accessors declare;
 /// `unsupported_extension` for anything but triangles; `too_large` beyond the limits; and what `check` says.
 pub(crate) fn primitives(
     document: &mut Document,
@@ -52,7 +54,7 @@ pub(crate) fn primitives(
     let mut after = 0;
     for job in &jobs {
         check()?;
-        after += decode(document, job, limits, budget, &mut filled, check)?;
+        after += decode(document, job, limits, budget, &mut filled, warnings, check)?;
         streams.insert(job.view, structure::view(&document.json, job.view)?.length);
     }
     undeclare(&mut document.json, DRACO);
@@ -100,7 +102,9 @@ fn job(object: &Value, own: &str, mesh: usize, primitive: usize) -> Result<Optio
     let empty = serde_json::Map::new();
     let indices = whole(object.as_object().unwrap_or(&empty), "indices", own)?;
     let view = needed(found, "bufferView", &pointer)?;
-    Ok(Some(Job { mesh, primitive, pointer, view, attributes, indices }))
+    let outside = plain.is_some_and(|p| p.keys().any(|name| !ids.contains_key(name)));
+    let morphed = object.get("targets").and_then(Value::as_array).is_some_and(|t| !t.is_empty());
+    Ok(Some(Job { mesh, primitive, pointer, view, attributes, indices, mixed: outside || morphed }))
 }
 
 /// Decodes one primitive; gives the bytes of its elements.
@@ -110,66 +114,67 @@ fn decode(
     limits: &Limits,
     budget: &mut Budget,
     filled: &mut BTreeMap<usize, Filler>,
+    warnings: &mut Vec<Warning>,
     check: &dyn Fn() -> Result<()>,
 ) -> Result<usize> {
     let own = format!("/meshes/{}/primitives/{}", job.mesh, job.primitive);
-    let mut vertices = 0;
-    let mut bytes = 0;
-    for (_, index, _) in &job.attributes {
-        let accessor = structure::accessor(&document.json, *index)?;
-        vertices = vertices.max(accessor.count);
-        bytes += accessor.count * accessor.element_size().next_multiple_of(4);
-    }
-    let faces = match job.indices {
-        Some(index) => {
-            let accessor = structure::accessor(&document.json, index)?;
-            bytes += accessor.count * accessor.element_size();
-            accessor.count as u64 / 3
-        }
-        None => limits.max_triangles,
+    let accessor = |index: usize| structure::accessor(&document.json, index);
+    let accessors = job.attributes.iter().map(|(_, index, _)| accessor(*index)).collect::<Result<Vec<_>>>()?;
+    let indices = match job.indices {
+        Some(index) => accessor(index)?,
+        None => Accessor {
+            component: ComponentType::U32,
+            kind: Kind::Scalar,
+            normalized: false,
+            count: usize::try_from(limits.max_triangles.saturating_mul(3)).unwrap_or(usize::MAX),
+            view: None,
+            offset: 0,
+            sparse: None,
+        },
     };
-    budget.charge(bytes, &job.pointer)?;
-    let bounds =
-        Bounds { faces, bytes: (vertices as u64).saturating_mul(MOST_VERTEX_BYTES).min(limits.max_input_bytes) };
+    let vertices = accessors.iter().map(|a| a.count).max().unwrap_or(0);
     let stream = document.view_bytes(job.view).map_err(|e| e.at(format!("{}/bufferView", job.pointer)))?;
+    let most = (vertices.max(indices.count) as u64).saturating_mul(MOST_VERTEX_BYTES);
+    let bounds = Bounds { faces: indices.count as u64 / 3, bytes: most.min(limits.max_input_bytes) };
     let mesh = draco::decode(stream, bounds, check).map_err(|e| match e.code {
         Code::Canceled => e,
         _ => e.at(job.pointer.clone()),
     })?;
+    let (points, corners) = (mesh.num_points(), 3 * mesh.num_faces());
+    let vertex: usize = accessors.iter().map(|a| a.element_size().next_multiple_of(4)).sum();
+    budget.charge(points.saturating_mul(vertex).saturating_add(4 * corners), &job.pointer)?;
+    // Encoders split vertices at seams and drop triangles, and not all of them write the new numbers down.
+    if accessors.iter().any(|a| a.count != points) || (job.indices.is_some() && indices.count != corners) {
+        let message = format!(
+            "the Draco stream holds {points} vertices and {corners} indices, and the accessors declare {vertices} and {}",
+            indices.count
+        );
+        if job.mixed {
+            return Err(Failure::model(message).at(job.pointer.clone()));
+        }
+        warnings.push(Warning::new("accessor_count_corrected", message).at(own.clone()));
+    }
 
     let mut after = 0;
-    for (name, index, id) in &job.attributes {
-        let accessor = structure::accessor(&document.json, *index)?;
-        let raw = draco::attribute(&mesh, *id, &accessor).map_err(|why| mismatch(*index, name, &why))?;
+    for ((name, index, id), accessor) in job.attributes.iter().zip(&accessors) {
+        let raw = draco::attribute(&mesh, *id, accessor).map_err(|why| mismatch(*index, name, &why))?;
         after += raw.data.len();
         let bounds = name == "POSITION" || document.json["accessors"][*index].get("min").is_some();
         let place = fill(document, *index, &raw, ARRAY_BUFFER, bounds, (job.view, Some(*id)), filled);
         document.json["meshes"][job.mesh]["primitives"][job.primitive]["attributes"][name.as_str()] =
             Value::from(place);
     }
+    let raw = draco::indices(&mesh, &indices).map_err(|why| match job.indices {
+        Some(index) => mismatch(index, "indices", &why),
+        None => Failure::model(why).at(own.clone()),
+    })?;
+    after += raw.data.len();
     let place = match job.indices {
         Some(index) => {
-            let accessor = structure::accessor(&document.json, index)?;
-            let raw = draco::indices(&mesh, &accessor).map_err(|why| mismatch(index, "indices", &why))?;
-            after += raw.data.len();
             let bounds = document.json["accessors"][index].get("min").is_some();
             fill(document, index, &raw, ELEMENT_ARRAY_BUFFER, bounds, (job.view, None), filled)
         }
-        None => {
-            let wide = structure::Accessor {
-                component: ComponentType::U32,
-                kind: Kind::Scalar,
-                normalized: false,
-                count: 3 * mesh.num_faces(),
-                view: None,
-                offset: 0,
-                sparse: None,
-            };
-            budget.charge(wide.count * wide.element_size(), &job.pointer)?;
-            let raw = draco::indices(&mesh, &wide).map_err(|why| Failure::model(why).at(own.clone()))?;
-            after += raw.data.len();
-            document.append_accessor(&raw, Some(ELEMENT_ARRAY_BUFFER), false)
-        }
+        None => document.append_accessor(&raw, Some(ELEMENT_ARRAY_BUFFER), false),
     };
     let primitive = &mut document.json["meshes"][job.mesh]["primitives"][job.primitive];
     primitive["indices"] = Value::from(place);
@@ -201,6 +206,7 @@ fn fill(
         fields.shift_remove("byteOffset");
     }
     object["bufferView"] = Value::from(view);
+    object["count"] = Value::from(raw.count);
     if bounds {
         set_bounds(&mut object, raw);
     }

@@ -1,6 +1,6 @@
 //! Mode 0: elements as differences from the one before, byte by byte, in blocks of up to 256 elements.
 
-use super::{Decoded, NOT_READ, Reader, body};
+use super::{Decoded, Reader, body};
 
 /// Most elements of a block.
 const BLOCK: usize = 256;
@@ -55,10 +55,7 @@ pub(super) fn decode(stream: &[u8], count: usize, stride: usize) -> Decoded<Vec<
             accumulate(&deltas, mode, last, elements, stride, 4 * channel);
         }
     }
-    if data.end().is_err() {
-        // Padding before the tail is no part of it, but counted in `tail` above.
-        return Err(NOT_READ);
-    }
+    data.end()?;
     Ok(out)
 }
 
@@ -114,6 +111,7 @@ fn accumulate(deltas: &[[u8; BLOCK]; 4], mode: u8, last: &mut [u8], elements: &m
                 [a, b, c, d]
             }
             _ => {
+                // The mode names the turn that the encoder made.
                 let turned = u32::from_le_bytes(delta).rotate_right(u32::from(mode >> 4));
                 (u32::from_le_bytes(value) ^ turned).to_le_bytes()
             }

@@ -52,7 +52,6 @@ pub(super) struct Layout {
 pub(super) type Decoded<T> = Result<T, &'static str>;
 
 const ENDS_EARLY: &str = "ends early";
-const NOT_READ: &str = "holds bytes that belong to nothing";
 
 impl Layout {
     /// Whether mode, filter, stride and count go together.
@@ -154,7 +153,7 @@ impl<'a> Reader<'a> {
     }
 
     fn end(&self) -> Decoded<()> {
-        if self.left.is_empty() { Ok(()) } else { Err(NOT_READ) }
+        if self.left.is_empty() { Ok(()) } else { Err("holds bytes that belong to nothing") }
     }
 }
 
