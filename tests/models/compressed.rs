@@ -1,6 +1,6 @@
 //! Models with compressed geometry against the same models without.
 
-use intarsia::asset::{Document, File, Limits, load, read_indices, read_vec3};
+use intarsia::asset::{ARRAY_BUFFER, Document, File, Limits, RawAccessor, load, read_indices, read_vec2, read_vec3};
 use intarsia::context::Context;
 use intarsia::refine::options::Options;
 use intarsia::refine::{Input, Outcome, refine};
@@ -95,9 +95,15 @@ fn compressed_models_are_packed() {
 fn quantised_attributes_stay_quantised() {
     let Some(files) = data::model("pbr/cesium_Duck_meshopt/Duck-vp-12-vt-12-vn-12.glb") else { return };
     let (mut doc, _) = open(&files);
-    // The texture transform goes, so that the layout of 16-bit UVs is refined.
-    let transform = doc.json.pointer_mut("/materials/0/pbrMetallicRoughness/baseColorTexture").expect("a texture");
-    transform.as_object_mut().expect("an object").shift_remove("extensions");
+    // The texture transform goes into the UVs, so that they are refined in any case.
+    let texture = doc.json.pointer_mut("/materials/0/pbrMetallicRoughness/baseColorTexture").expect("a texture");
+    let transform = texture.as_object_mut().and_then(|t| t.shift_remove("extensions")).expect("a texture transform");
+    let number =
+        |key: &str, axis: usize| transform["KHR_texture_transform"][key][axis].as_f64().expect("a number") as f32;
+    let uvs = read_vec2(&doc, 2).expect("UVs");
+    let uvs: Vec<_> = uvs.iter().map(|uv| [0, 1].map(|k| uv[k] * number("scale", k) + number("offset", k))).collect();
+    let uv = doc.append_accessor(&RawAccessor::from_floats(&uvs), Some(ARRAY_BUFFER), false);
+    doc.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = uv.into();
     let original = doc.to_glb().expect("a GLB");
     let outcome = pack(vec![File { path: "duck.glb".to_owned(), bytes: original.clone() }]);
     let model = outcome.artifacts.iter().find(|a| a.role == "model").expect("a model");
