@@ -16,8 +16,8 @@ use crate::error::{Failure, Result};
 
 /// How often cancellation is looked for.
 const TICK: Duration = Duration::from_millis(20);
-/// Ticks after which a stream is given up: a minute, where the largest models take seconds.
-const PATIENCE: usize = 3000;
+/// Ticks after which a stream is given up: three minutes, where twenty million triangles take some ten seconds.
+const PATIENCE: usize = 9000;
 /// Stack of a decoding thread, in bytes: metadata may nest a thousand deep.
 const STACK: usize = 16 << 20;
 
@@ -50,7 +50,7 @@ pub(super) fn decode(stream: &[u8], bounds: Bounds, check: &dyn Fn() -> Result<(
             Err(RecvTimeoutError::Disconnected) => return Err(Failure::model("the Draco stream breaks its decoder")),
         }
     }
-    Err(Failure::model("the Draco stream takes more than a minute to decode"))
+    Err(Failure::model("the Draco stream takes more than three minutes to decode"))
 }
 
 fn read(stream: &[u8], bounds: Bounds) -> Result<Mesh> {

@@ -48,7 +48,7 @@ pub(crate) fn primitives(
     warnings: &mut Vec<Warning>,
     check: &dyn Fn() -> Result<()>,
 ) -> Result<()> {
-    let jobs = jobs(&document.json)?;
+    let jobs = jobs(&document.json, warnings)?;
     let mut filled: BTreeMap<usize, Filler> = BTreeMap::new();
     let mut streams: BTreeMap<usize, usize> = BTreeMap::new();
     let mut after = 0;
@@ -57,6 +57,11 @@ pub(crate) fn primitives(
         after += decode(document, job, limits, budget, &mut filled, warnings, check)?;
         streams.insert(job.view, structure::view(&document.json, job.view)?.length);
     }
+    for mesh in document.json.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten() {
+        for primitive in mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten() {
+            remove_extension(primitive, DRACO);
+        }
+    }
     undeclare(&mut document.json, DRACO);
     if !jobs.is_empty() {
         warnings.push(decompressed(DRACO, streams.values().sum(), after));
@@ -64,27 +69,40 @@ pub(crate) fn primitives(
     Ok(())
 }
 
-fn jobs(json: &Value) -> Result<Vec<Job>> {
+fn jobs(json: &Value, warnings: &mut Vec<Warning>) -> Result<Vec<Job>> {
     let mut jobs = Vec::new();
     for (mesh, object) in list(json, "meshes")?.iter().enumerate() {
         let primitives = object.get("primitives").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
         for (primitive, object) in primitives.iter().enumerate() {
             let own = format!("/meshes/{mesh}/primitives/{primitive}");
-            if let Some(job) = job(object, &own, mesh, primitive)? {
+            let Some(job) = job(object, &own, mesh, primitive)? else { continue };
+            if object.get("mode").is_none_or(|mode| mode.as_u64() == Some(4)) {
                 jobs.push(job);
+                continue;
             }
+            let message = "only triangles are read from Draco streams, and the mode of the primitive is another";
+            let failure = Failure::new(Code::UnsupportedExtension, message).at(format!("{own}/mode"));
+            if !job.is_there_uncompressed(json) {
+                return Err(failure);
+            }
+            let message = format!("{message}: what is there uncompressed is taken");
+            warnings.push(Warning::new("draco_ignored", message).at(own));
         }
     }
     Ok(jobs)
 }
 
+impl Job {
+    /// Whether every accessor that the stream would fill has contents of its own.
+    fn is_there_uncompressed(&self, json: &Value) -> bool {
+        let mut accessors = self.attributes.iter().map(|(_, index, _)| *index).chain(self.indices);
+        accessors.all(|index| structure::accessor(json, index).is_ok_and(|a| a.view.is_some()))
+    }
+}
+
 fn job(object: &Value, own: &str, mesh: usize, primitive: usize) -> Result<Option<Job>> {
     let Some(found) = extension(object, DRACO, own)? else { return Ok(None) };
     let pointer = format!("{own}/extensions/{DRACO}");
-    if object.get("mode").is_some_and(|mode| mode.as_u64() != Some(4)) {
-        let message = "only triangles are read from Draco streams: the mode of the primitive is another";
-        return Err(Failure::new(Code::UnsupportedExtension, message).at(format!("{own}/mode")));
-    }
     let at_attributes = format!("{pointer}/attributes");
     let ids = found.get("attributes").and_then(Value::as_object);
     let ids = ids.ok_or_else(|| Failure::model("an object is expected here").at(at_attributes.clone()))?;
@@ -176,9 +194,7 @@ fn decode(
         }
         None => document.append_accessor(&raw, Some(ELEMENT_ARRAY_BUFFER), false),
     };
-    let primitive = &mut document.json["meshes"][job.mesh]["primitives"][job.primitive];
-    primitive["indices"] = Value::from(place);
-    remove_extension(primitive, DRACO);
+    document.json["meshes"][job.mesh]["primitives"][job.primitive]["indices"] = Value::from(place);
     Ok(after)
 }
 

@@ -180,6 +180,36 @@ fn accessors_that_others_use_are_left_alone() {
 }
 
 #[test]
+fn uncompressed_contents_beside_a_stream_stay() {
+    let grid = grid(3);
+    let stream = draco(&grid, 1, 5);
+    let mut buffer = stream.clone();
+    buffer.resize(stream.len().next_multiple_of(4) + 1000, 0);
+    let mut json = draco_document(&grid, &stream);
+    json.as_object_mut().unwrap().remove("extensionsRequired");
+    json["buffers"][0]["byteLength"] = json!(buffer.len());
+    let zeros = json!({ "buffer": 0, "byteOffset": stream.len().next_multiple_of(4), "byteLength": 1000 });
+    json["bufferViews"].as_array_mut().unwrap().push(zeros);
+    for accessor in 0..3 {
+        json["accessors"][accessor]["bufferView"] = json!(1);
+    }
+    let (doc, _) = open(&json, &buffer).unwrap();
+    assert_eq!(doc.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"], 3);
+    assert!(read_vec3(&doc, 0).unwrap().iter().all(|p| *p == [0.0; 3]));
+    let near = |p: &[f32; 3]| (0..3).all(|k| (p[k] - grid.positions[15][k]).abs() < 1e-3);
+    assert!(read_vec3(&doc, 3).unwrap().iter().any(near));
+
+    // A strip is not read from the stream: what stands beside it is taken, or nothing.
+    json["meshes"][0]["primitives"][0]["mode"] = json!(5);
+    let (doc, warnings) = open(&json, &buffer).unwrap();
+    assert_eq!(codes(&warnings), ["draco_ignored"]);
+    let attributes = json!({ "POSITION": 0, "TEXCOORD_0": 1 });
+    assert_eq!(doc.json["meshes"][0]["primitives"][0], json!({ "attributes": attributes, "indices": 2, "mode": 5 }));
+    json["accessors"][1].as_object_mut().unwrap().remove("bufferView");
+    assert_eq!(failure(&json, &buffer).0, Code::UnsupportedExtension);
+}
+
+#[test]
 fn the_stream_tells_how_many_vertices_there_are() {
     let grid = grid(4);
     let stream = draco(&grid, 1, 5);
