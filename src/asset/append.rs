@@ -21,18 +21,7 @@ impl Document {
     /// Appends an accessor with its data; gives its index. Elements of vertex attributes (target 34962) are padded to
     /// four bytes, as glTF wants them. `bounds` adds `min` and `max`, which POSITION and animation inputs need.
     pub fn append_accessor(&mut self, raw: &RawAccessor, target: Option<u32>, bounds: bool) -> usize {
-        let size = raw.element_size;
-        let padded = if target == Some(ARRAY_BUFFER) { size.next_multiple_of(4) } else { size };
-        let view = if padded == size || size == 0 {
-            self.append_view(&raw.data, target, None)
-        } else {
-            let mut data = Vec::with_capacity(raw.count * padded);
-            for element in raw.data.chunks(size) {
-                data.extend_from_slice(element);
-                data.resize(data.len() + padded - size, 0);
-            }
-            self.append_view(&data, target, Some(padded))
-        };
+        let view = self.append_elements(raw, target);
         let mut object = json!({
             "bufferView": view,
             "componentType": raw.component_type.gl(),
@@ -42,12 +31,25 @@ impl Document {
         if raw.normalized {
             object["normalized"] = Value::Bool(true);
         }
-        if bounds && raw.count > 0 {
-            let (min, max) = min_max(raw);
-            object["min"] = Value::Array(min);
-            object["max"] = Value::Array(max);
+        if bounds {
+            set_bounds(&mut object, raw);
         }
         self.push("accessors", object)
+    }
+
+    /// Appends the elements of an accessor, padded as [`Self::append_accessor`] does; gives the index of their buffer view.
+    pub(crate) fn append_elements(&mut self, raw: &RawAccessor, target: Option<u32>) -> usize {
+        let size = raw.element_size;
+        let padded = if target == Some(ARRAY_BUFFER) { size.next_multiple_of(4) } else { size };
+        if padded == size || size == 0 {
+            return self.append_view(&raw.data, target, None);
+        }
+        let mut data = Vec::with_capacity(raw.count * padded);
+        for element in raw.data.chunks(size) {
+            data.extend_from_slice(element);
+            data.resize(data.len() + padded - size, 0);
+        }
+        self.append_view(&data, target, Some(padded))
     }
 
     /// Appends an object to an array of the document, made where there is none; gives its index.
@@ -116,6 +118,15 @@ impl Document {
             Value::Array(array) => array,
             _ => unreachable!("it was made an array above"),
         }
+    }
+}
+
+/// Writes `min` and `max` of the elements into their accessor's object; nothing where there are none.
+pub(crate) fn set_bounds(object: &mut Value, raw: &RawAccessor) {
+    if raw.count > 0 {
+        let (min, max) = min_max(raw);
+        object["min"] = Value::Array(min);
+        object["max"] = Value::Array(max);
     }
 }
 

@@ -25,13 +25,26 @@ enum Container {
 }
 
 /// Loads the model among `files` (.glb, .gltf, .obj, or one of them in a .zip), told by content and by name. `main`
-/// names it where there are several. Every buffer is resolved, every buffer view and accessor lies inside its buffer;
-/// images that are missing are `None` and a warning.
+/// names it where there are several. Every buffer is resolved, compressed geometry is decompressed, every buffer view and
+/// accessor lies inside its buffer; images that are missing are `None` and a warning.
 ///
 /// # Errors
-/// `invalid_model` with a pointer for a broken container, JSON, buffer view or accessor; `unsupported_extension`;
-/// `missing_file` for buffers; `too_large` beyond `limits`.
+/// `invalid_model` with a pointer for a broken container, JSON, buffer view, accessor or compressed stream;
+/// `unsupported_extension`; `missing_file` for buffers; `too_large` beyond `limits`.
 pub fn load(files: &[File], main: Option<&str>, limits: &Limits) -> Result<(Document, Vec<Warning>)> {
+    load_while(files, main, limits, &|| Ok(()))
+}
+
+/// [`load`], for as long as `check` is content: it is asked every now and then while compressed geometry is decoded.
+///
+/// # Errors
+/// As [`load`], and what `check` says.
+pub fn load_while(
+    files: &[File],
+    main: Option<&str>,
+    limits: &Limits,
+    check: &dyn Fn() -> Result<()>,
+) -> Result<(Document, Vec<Warning>)> {
     let upload = unpack(files, limits)?;
     // An archive that is named stands for the model inside it.
     let main = main.filter(|m| !files.iter().any(|f| f.path == **m && archive::is_zip(&f.bytes)));
@@ -44,12 +57,12 @@ pub fn load(files: &[File], main: Option<&str>, limits: &Limits) -> Result<(Docu
         Container::Obj => obj::load(entry, &upload, limits, &mut warnings)?,
         Container::Gltf => {
             let json = parse_json(&entry.bytes, limits)?;
-            resolve(json, None, entry, &upload, limits, &mut warnings)?
+            resolve(json, None, entry, &upload, limits, &mut warnings, check)?
         }
         Container::Glb => {
             let chunks = glb::parse(&entry.bytes, &mut warnings)?;
             let json = parse_json(chunks.json, limits)?;
-            resolve(json, chunks.bin, entry, &upload, limits, &mut warnings)?
+            resolve(json, chunks.bin, entry, &upload, limits, &mut warnings, check)?
         }
     };
     Ok((document, warnings))

@@ -8,6 +8,7 @@ mod accessor;
 mod accessor_type;
 mod append;
 mod archive;
+mod compression;
 mod glb;
 mod limits;
 mod load;
@@ -31,7 +32,7 @@ pub use accessor::{
 pub use accessor_type::{ComponentType, Kind};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
 pub use limits::Limits;
-pub use load::{load, side_file};
+pub use load::{load, load_while, side_file};
 pub use merge::{Counts, Merge, Merged, MergedMaterial, Merging, finish as finish_merge, prepare as prepare_merge};
 pub use save::to_gltf;
 pub use side_files::read_paths;

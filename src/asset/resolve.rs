@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use serde_json::Value;
 
 use super::Document;
+use super::compression;
 use super::limits::Limits;
 use super::merge::Merging;
 use super::structure::{self, list, whole};
@@ -38,15 +39,19 @@ pub(crate) fn resolve(
     upload: &Upload<'_>,
     limits: &Limits,
     warnings: &mut Vec<Warning>,
+    check: &dyn Fn() -> Result<()>,
 ) -> Result<Document> {
     check_header(&json)?;
     let mut budget = Budget { left: limits.max_input_bytes.saturating_mul(2) };
     let buffers = buffers(&json, bin, &entry.path, upload, &mut budget, warnings)?;
-    let lengths: Vec<usize> = buffers.iter().map(Vec::len).collect();
-    structure::check(&json, &lengths, limits.max_input_bytes, warnings)?;
-    check_triangles(&json, limits)?;
     let name = uri::stem(&entry.path).to_owned();
     let mut document = Document { json, buffers, images: Vec::new(), name, merging: Merging::default() };
+    let filtered = compression::views(&mut document, &mut budget, warnings, check)?;
+    let lengths: Vec<usize> = document.buffers.iter().map(Vec::len).collect();
+    structure::check(&document.json, &lengths, limits.max_input_bytes, warnings)?;
+    check_triangles(&document.json, limits)?;
+    compression::renew_bounds(&mut document, &filtered)?;
+    compression::primitives(&mut document, limits, &mut budget, warnings, check)?;
     document.images = images(&document, &entry.path, upload, &mut budget, warnings)?;
     Ok(document)
 }
@@ -72,7 +77,7 @@ fn check_header(json: &Value) -> Result<()> {
     }
     for (index, name) in list(json, "extensionsRequired")?.iter().enumerate() {
         let name = name.as_str().unwrap_or_default();
-        if !is_handled(name) {
+        if !is_handled(name) && !compression::is_decoded(name) {
             let message = format!("the model requires the extension {}, which is not supported", quote(name));
             return Err(Failure::new(Code::UnsupportedExtension, message).at(format!("/extensionsRequired/{index}")));
         }
@@ -106,15 +111,24 @@ fn major(version: &str) -> Option<u32> {
 }
 
 /// How many bytes buffers and images may still take: a file named a thousand times counts a thousand times.
-struct Budget {
+pub(crate) struct Budget {
     left: u64,
 }
 
 impl Budget {
-    fn take(&mut self, bytes: &[u8], pointer: &str) -> Result<Vec<u8>> {
-        self.left = self.left.checked_sub(bytes.len() as u64).ok_or_else(|| {
+    /// Takes note of bytes before they are allocated.
+    ///
+    /// # Errors
+    /// `too_large` at `pointer` when they are too many.
+    pub(crate) fn charge(&mut self, bytes: usize, pointer: &str) -> Result<()> {
+        self.left = self.left.checked_sub(bytes as u64).ok_or_else(|| {
             Failure::new(Code::TooLarge, "the buffers and images together exceed the limit on the input").at(pointer)
         })?;
+        Ok(())
+    }
+
+    fn take(&mut self, bytes: &[u8], pointer: &str) -> Result<Vec<u8>> {
+        self.charge(bytes.len(), pointer)?;
         Ok(bytes.to_vec())
     }
 }
@@ -127,6 +141,7 @@ fn buffers(
     budget: &mut Budget,
     warnings: &mut Vec<Warning>,
 ) -> Result<Vec<Vec<u8>>> {
+    let placeholders = compression::placeholders(json)?;
     let mut buffers = Vec::new();
     let mut bin_used = false;
     for index in 0..list(json, "buffers")?.len() {
@@ -135,6 +150,10 @@ fn buffers(
         let at_uri = format!("{pointer}/uri");
         let length = whole(object, "byteLength", &pointer)?
             .ok_or_else(|| Failure::model("byteLength is missing").at(pointer.clone()))?;
+        if placeholders.contains(&index) {
+            buffers.push(Vec::new());
+            continue;
+        }
         let found: Cow<'_, [u8]> = match (object.get("uri"), bin) {
             (None, Some(bin)) if index == 0 => {
                 bin_used = true;

@@ -101,7 +101,11 @@ fn exact(value: &Value) -> Option<u64> {
     value.as_f64().filter(|f| f.fract() == 0.0 && (0.0..9e15).contains(f)).map(|f| f as u64)
 }
 
-fn needed(object: &Map<String, Value>, key: &str, pointer: &str) -> Result<usize> {
+/// A whole number at or above zero.
+///
+/// # Errors
+/// `invalid_model` at `pointer` when it is missing, at `pointer/key` when it is something else.
+pub(crate) fn needed(object: &Map<String, Value>, key: &str, pointer: &str) -> Result<usize> {
     whole(object, key, pointer)?.ok_or_else(|| Failure::model(format!("{key} is missing")).at(pointer))
 }
 

@@ -122,7 +122,7 @@ fn read(
 ) -> Result<(Document, Option<Merge>, Vec<TextureSet>)> {
     // Files that come with several models may be models themselves: the first is this one.
     let main = files.first().filter(|_| count > 1).map(|f| f.path.as_str());
-    let (mut doc, warnings) = asset::load(files, main, &input.limits)?;
+    let (mut doc, warnings) = asset::load_while(files, main, &input.limits, &|| context.check())?;
     for warning in warnings {
         context.warn(warning);
     }

@@ -2,6 +2,7 @@
 //! tests say so and pass.
 
 mod box_cutter;
+mod compressed;
 mod data;
 mod geometry;
 mod pack;

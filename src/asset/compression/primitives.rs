@@ -1,0 +1,235 @@
+//! Primitives with a Draco stream.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::draco::{self, Bounds};
+use super::{DRACO, decompressed, extension, remove_extension, undeclare};
+use crate::asset::accessor::RawAccessor;
+use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, set_bounds};
+use crate::asset::resolve::Budget;
+use crate::asset::structure::{self, Accessor, list, needed, whole};
+use crate::asset::{ComponentType, Document, Kind, Limits};
+use crate::error::{Code, Failure, Result, Warning};
+
+/// Bytes that the attributes of one vertex may take in a stream: it may hold more than the primitive names.
+const MOST_VERTEX_BYTES: u64 = 1024;
+
+/// A compressed primitive.
+struct Job {
+    mesh: usize,
+    primitive: usize,
+    /// JSON pointer of the extension.
+    pointer: String,
+    /// Buffer view of the stream.
+    view: usize,
+    /// Name, accessor and number in the stream of each attribute.
+    attributes: Vec<(String, usize, u32)>,
+    /// Accessor of the indices.
+    indices: Option<usize>,
+    /// Whether it has attributes or morph targets outside the stream, whose elements go with those inside.
+    mixed: bool,
+}
+
+/// What fills an accessor: a buffer view and an attribute's number in it, or its indices.
+type Filler = (usize, Option<u32>);
+
+/// Decodes every compressed primitive into the accessors that it names. One that has other contents too, because another
+/// primitive shares it or because it is there uncompressed as well, is left alone, and the primitive gets its own.
+///
+/// # Errors
+/// `invalid_model` with a pointer for a broken extension or stream, or one that holds more than the accessors declare;
+/// `unsupported_extension` for anything but triangles; `too_large` beyond the limits; and what `check` says.
+pub(crate) fn primitives(
+    document: &mut Document,
+    limits: &Limits,
+    budget: &mut Budget,
+    warnings: &mut Vec<Warning>,
+    check: &dyn Fn() -> Result<()>,
+) -> Result<()> {
+    let jobs = jobs(&document.json, warnings)?;
+    let mut filled: BTreeMap<usize, Filler> = BTreeMap::new();
+    let mut streams: BTreeMap<usize, usize> = BTreeMap::new();
+    let mut after = 0;
+    for job in &jobs {
+        check()?;
+        after += decode(document, job, limits, budget, &mut filled, warnings, check)?;
+        streams.insert(job.view, structure::view(&document.json, job.view)?.length);
+    }
+    for mesh in document.json.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten() {
+        for primitive in mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten() {
+            remove_extension(primitive, DRACO);
+        }
+    }
+    undeclare(&mut document.json, DRACO);
+    if !jobs.is_empty() {
+        warnings.push(decompressed(DRACO, streams.values().sum(), after));
+    }
+    Ok(())
+}
+
+fn jobs(json: &Value, warnings: &mut Vec<Warning>) -> Result<Vec<Job>> {
+    let mut jobs = Vec::new();
+    for (mesh, object) in list(json, "meshes")?.iter().enumerate() {
+        let primitives = object.get("primitives").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+        for (primitive, object) in primitives.iter().enumerate() {
+            let own = format!("/meshes/{mesh}/primitives/{primitive}");
+            let Some(job) = job(object, &own, mesh, primitive)? else { continue };
+            if object.get("mode").is_none_or(|mode| mode.as_u64() == Some(4)) {
+                jobs.push(job);
+                continue;
+            }
+            let message = "only triangles are read from Draco streams, and the mode of the primitive is another";
+            let failure = Failure::new(Code::UnsupportedExtension, message).at(format!("{own}/mode"));
+            if !job.is_there_uncompressed(json) {
+                return Err(failure);
+            }
+            let message = format!("{message}: what is there uncompressed is taken");
+            warnings.push(Warning::new("draco_ignored", message).at(own));
+        }
+    }
+    Ok(jobs)
+}
+
+impl Job {
+    /// Whether every accessor that the stream would fill has contents of its own.
+    fn is_there_uncompressed(&self, json: &Value) -> bool {
+        let mut accessors = self.attributes.iter().map(|(_, index, _)| *index).chain(self.indices);
+        accessors.all(|index| structure::accessor(json, index).is_ok_and(|a| a.view.is_some()))
+    }
+}
+
+fn job(object: &Value, own: &str, mesh: usize, primitive: usize) -> Result<Option<Job>> {
+    let Some(found) = extension(object, DRACO, own)? else { return Ok(None) };
+    let pointer = format!("{own}/extensions/{DRACO}");
+    let at_attributes = format!("{pointer}/attributes");
+    let ids = found.get("attributes").and_then(Value::as_object);
+    let ids = ids.ok_or_else(|| Failure::model("an object is expected here").at(at_attributes.clone()))?;
+    let plain = object.get("attributes").and_then(Value::as_object);
+    let mut attributes = Vec::new();
+    for name in ids.keys() {
+        let id = needed(ids, name, &at_attributes)?;
+        let accessor = plain.map(|p| whole(p, name, &format!("{own}/attributes"))).transpose()?.flatten();
+        let accessor = accessor.ok_or_else(|| {
+            Failure::model(format!("{name} is compressed, and the primitive has no such attribute")).at(&*pointer)
+        })?;
+        let id = u32::try_from(id).map_err(|_| Failure::model("this is no attribute's number").at(&*at_attributes))?;
+        attributes.push((name.clone(), accessor, id));
+    }
+    let empty = serde_json::Map::new();
+    let indices = whole(object.as_object().unwrap_or(&empty), "indices", own)?;
+    let view = needed(found, "bufferView", &pointer)?;
+    let outside = plain.is_some_and(|p| p.keys().any(|name| !ids.contains_key(name)));
+    let morphed = object.get("targets").and_then(Value::as_array).is_some_and(|t| !t.is_empty());
+    Ok(Some(Job { mesh, primitive, pointer, view, attributes, indices, mixed: outside || morphed }))
+}
+
+/// Decodes one primitive; gives the bytes of its elements.
+fn decode(
+    document: &mut Document,
+    job: &Job,
+    limits: &Limits,
+    budget: &mut Budget,
+    filled: &mut BTreeMap<usize, Filler>,
+    warnings: &mut Vec<Warning>,
+    check: &dyn Fn() -> Result<()>,
+) -> Result<usize> {
+    let own = format!("/meshes/{}/primitives/{}", job.mesh, job.primitive);
+    let accessor = |index: usize| structure::accessor(&document.json, index);
+    let accessors = job.attributes.iter().map(|(_, index, _)| accessor(*index)).collect::<Result<Vec<_>>>()?;
+    let indices = match job.indices {
+        Some(index) => accessor(index)?,
+        None => Accessor {
+            component: ComponentType::U32,
+            kind: Kind::Scalar,
+            normalized: false,
+            count: usize::try_from(limits.max_triangles.saturating_mul(3)).unwrap_or(usize::MAX),
+            view: None,
+            offset: 0,
+            sparse: None,
+        },
+    };
+    let vertices = accessors.iter().map(|a| a.count).max().unwrap_or(0);
+    let stream = document.view_bytes(job.view).map_err(|e| e.at(format!("{}/bufferView", job.pointer)))?;
+    let most = (vertices.max(indices.count) as u64).saturating_mul(MOST_VERTEX_BYTES);
+    let bounds = Bounds { faces: indices.count as u64 / 3, bytes: most.min(limits.max_input_bytes) };
+    let mesh = draco::decode(stream, bounds, check).map_err(|e| match e.code {
+        Code::Canceled => e,
+        _ => e.at(job.pointer.clone()),
+    })?;
+    let (points, corners) = (mesh.num_points(), 3 * mesh.num_faces());
+    let vertex: usize = accessors.iter().map(|a| a.element_size().next_multiple_of(4)).sum();
+    budget.charge(points.saturating_mul(vertex).saturating_add(4 * corners), &job.pointer)?;
+    // Encoders split vertices at seams and drop triangles, and not all of them write the new numbers down.
+    if accessors.iter().any(|a| a.count != points) || (job.indices.is_some() && indices.count != corners) {
+        let message = format!(
+            "the Draco stream holds {points} vertices and {corners} indices, and the accessors declare {vertices} and {}",
+            indices.count
+        );
+        if job.mixed {
+            return Err(Failure::model(message).at(job.pointer.clone()));
+        }
+        warnings.push(Warning::new("accessor_count_corrected", message).at(own.clone()));
+    }
+
+    let mut after = 0;
+    for ((name, index, id), accessor) in job.attributes.iter().zip(&accessors) {
+        let raw = draco::attribute(&mesh, *id, accessor).map_err(|why| mismatch(*index, name, &why))?;
+        after += raw.data.len();
+        let bounds = name == "POSITION" || document.json["accessors"][*index].get("min").is_some();
+        let place = fill(document, *index, &raw, ARRAY_BUFFER, bounds, (job.view, Some(*id)), filled);
+        document.json["meshes"][job.mesh]["primitives"][job.primitive]["attributes"][name.as_str()] =
+            Value::from(place);
+    }
+    let raw = draco::indices(&mesh, &indices).map_err(|why| match job.indices {
+        Some(index) => mismatch(index, "indices", &why),
+        None => Failure::model(why).at(own.clone()),
+    })?;
+    after += raw.data.len();
+    let place = match job.indices {
+        Some(index) => {
+            let bounds = document.json["accessors"][index].get("min").is_some();
+            fill(document, index, &raw, ELEMENT_ARRAY_BUFFER, bounds, (job.view, None), filled)
+        }
+        None => document.append_accessor(&raw, Some(ELEMENT_ARRAY_BUFFER), false),
+    };
+    document.json["meshes"][job.mesh]["primitives"][job.primitive]["indices"] = Value::from(place);
+    Ok(after)
+}
+
+fn mismatch(accessor: usize, name: &str, why: &str) -> Failure {
+    Failure::model(format!("{name}: {why}")).at(format!("/accessors/{accessor}"))
+}
+
+/// Puts elements into an accessor that is empty, or into a copy of one that is not; gives its index.
+fn fill(
+    document: &mut Document,
+    index: usize,
+    raw: &RawAccessor,
+    target: u32,
+    bounds: bool,
+    filler: Filler,
+    filled: &mut BTreeMap<usize, Filler>,
+) -> usize {
+    if filled.get(&index) == Some(&filler) {
+        return index;
+    }
+    let mut object = document.json["accessors"][index].clone();
+    let view = document.append_elements(raw, Some(target));
+    let taken = object.get("bufferView").is_some();
+    if let Some(fields) = object.as_object_mut() {
+        fields.shift_remove("byteOffset");
+    }
+    object["bufferView"] = Value::from(view);
+    object["count"] = Value::from(raw.count);
+    if bounds {
+        set_bounds(&mut object, raw);
+    }
+    if taken {
+        return document.push("accessors", object);
+    }
+    filled.insert(index, filler);
+    document.json["accessors"][index] = object;
+    index
+}

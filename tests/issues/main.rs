@@ -1,0 +1,3 @@
+//! Crashes and wrong results that were found once, each with what happened.
+
+mod compressed_streams;

@@ -1,0 +1,116 @@
+//! Models with compressed geometry against the same models without.
+
+use intarsia::asset::{ARRAY_BUFFER, Document, File, Limits, RawAccessor, load, read_indices, read_vec2, read_vec3};
+use intarsia::context::Context;
+use intarsia::refine::options::Options;
+use intarsia::refine::{Input, Outcome, refine};
+
+use super::{data, geometry};
+
+fn open(files: &[File]) -> (Document, Vec<String>) {
+    let (doc, warnings) = load(files, None, &Limits::default()).expect("the model loads");
+    (doc, warnings.into_iter().map(|w| w.code).collect())
+}
+
+/// Positions and number of triangles of every primitive.
+fn surfaces(doc: &Document) -> Vec<(Vec<[f32; 3]>, usize)> {
+    let primitives = doc.json["meshes"].as_array().expect("meshes").iter().flat_map(|m| m["primitives"].as_array());
+    let index = |value: &serde_json::Value| value.as_u64().expect("an index") as usize;
+    primitives
+        .flatten()
+        .map(|p| {
+            let positions = read_vec3(doc, index(&p["attributes"]["POSITION"])).expect("positions");
+            let indices = read_indices(doc, index(&p["indices"])).expect("indices");
+            assert!(indices.iter().all(|i| (*i as usize) < positions.len()), "indices are in range");
+            (positions, indices.len() / 3)
+        })
+        .collect()
+}
+
+/// Places with the box that holds them moved and scaled to [0,1].
+fn in_unit_box(positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let bound = |f: fn(f32, f32) -> f32, k: usize| positions.iter().map(|p| p[k]).reduce(f).expect("positions");
+    let low = [0, 1, 2].map(|k| bound(f32::min, k));
+    let size = [0, 1, 2].map(|k| bound(f32::max, k) - low[k]).into_iter().fold(0.0, f32::max);
+    positions.iter().map(|p| [0, 1, 2].map(|k| (p[k] - low[k]) / size)).collect()
+}
+
+/// The greatest distance, along an axis, from a place of `a` to its nearest of `b`.
+fn distance(a: &[[f32; 3]], b: &[[f32; 3]]) -> f32 {
+    let far = |p: &[f32; 3], q: &[f32; 3]| (0..3).map(|k| (p[k] - q[k]).abs()).fold(0.0, f32::max);
+    a.iter().map(|p| b.iter().map(|q| far(p, q)).fold(f32::INFINITY, f32::min)).fold(0.0, f32::max)
+}
+
+/// That both models have the same surfaces, within a part of the size of each.
+fn same_surfaces(compressed: &Document, plain: &Document, within: f32) {
+    let (compressed, plain) = (surfaces(compressed), surfaces(plain));
+    assert_eq!(compressed.len(), plain.len());
+    for ((a, faces), (b, expected)) in compressed.iter().zip(&plain) {
+        assert_eq!(faces, expected);
+        let (a, b) = (in_unit_box(a), in_unit_box(b));
+        let found = distance(&a, &b).max(distance(&b, &a));
+        assert!(found <= within, "{found} of the size of the model, and {within} is what quantisation may take");
+    }
+}
+
+fn pack(files: Vec<File>) -> Outcome {
+    let input = Input { models: vec![files], ..Input::default() };
+    refine(&input, &Options::default(), &Context::silent()).expect("the model is refined")
+}
+
+#[test]
+fn draco_and_plain_models_are_the_same() {
+    let Some(files) = data::model("pbr/cesium_MilkTruck_draco/CesiumMilkTruck.gltf") else { return };
+    let (compressed, warnings) = open(&files);
+    // Its first primitive holds more vertices than its accessors declare.
+    assert_eq!(warnings, ["accessor_count_corrected", "decompressed"]);
+    let Some(plain) = data::model("pbr/khr_CesiumMilkTruck/CesiumMilkTruck.glb") else { return };
+    same_surfaces(&compressed, &open(&plain).0, 1.0 / 2048.0);
+}
+
+#[test]
+fn meshopt_and_plain_models_are_the_same() {
+    let Some(files) = data::model("pbr/cesium_Duck_meshopt/Duck-vp-12-vt-12-vn-12.glb") else { return };
+    let (compressed, warnings) = open(&files);
+    assert_eq!(warnings, ["decompressed"]);
+    let Some(plain) = data::model("pbr/khr_Duck/Duck.glb") else { return };
+    same_surfaces(&compressed, &open(&plain).0, 1.0 / 4095.0);
+}
+
+#[test]
+fn compressed_models_are_packed() {
+    for name in ["pbr/cesium_MilkTruck_draco/CesiumMilkTruck.gltf", "scans/loaders_tile.glb"] {
+        let Some(files) = data::model(name) else { continue };
+        let original = open(&files).0.to_glb().expect("a GLB");
+        let outcome = pack(files);
+        let model = outcome.artifacts.iter().find(|a| a.role == "model").expect("a model");
+        let text = String::from_utf8_lossy(&model.bytes);
+        assert!(!text.contains("KHR_draco_mesh_compression"), "{name} is written uncompressed");
+        assert_eq!(geometry::corners(&model.bytes), geometry::corners(&original), "{name}: the surface changed");
+        assert!(outcome.report["atlases"].as_array().is_some_and(|a| !a.is_empty()), "{name} has an atlas");
+    }
+}
+
+#[test]
+fn quantised_attributes_stay_quantised() {
+    let Some(files) = data::model("pbr/cesium_Duck_meshopt/Duck-vp-12-vt-12-vn-12.glb") else { return };
+    let (mut doc, _) = open(&files);
+    // The texture transform goes into the UVs, so that they are refined in any case.
+    let texture = doc.json.pointer_mut("/materials/0/pbrMetallicRoughness/baseColorTexture").expect("a texture");
+    let transform = texture.as_object_mut().and_then(|t| t.shift_remove("extensions")).expect("a texture transform");
+    let number =
+        |key: &str, axis: usize| transform["KHR_texture_transform"][key][axis].as_f64().expect("a number") as f32;
+    let uvs = read_vec2(&doc, 2).expect("UVs");
+    let uvs: Vec<_> = uvs.iter().map(|uv| [0, 1].map(|k| uv[k] * number("scale", k) + number("offset", k))).collect();
+    let uv = doc.append_accessor(&RawAccessor::from_floats(&uvs), Some(ARRAY_BUFFER), false);
+    doc.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = uv.into();
+    let original = doc.to_glb().expect("a GLB");
+    let outcome = pack(vec![File { path: "duck.glb".to_owned(), bytes: original.clone() }]);
+    let model = outcome.artifacts.iter().find(|a| a.role == "model").expect("a model");
+    let (refined, _) = open(&[File { path: "out.glb".to_owned(), bytes: model.bytes.clone() }]);
+    for (attribute, component) in [("POSITION", 5123), ("NORMAL", 5122)] {
+        let accessor = refined.json["meshes"][0]["primitives"][0]["attributes"][attribute].as_u64().expect("an index");
+        assert_eq!(refined.json["accessors"][accessor as usize]["componentType"], component, "{attribute}");
+    }
+    same_surfaces(&refined, &doc, 0.0);
+}
