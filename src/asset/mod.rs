@@ -32,6 +32,7 @@ pub use limits::Limits;
 pub use load::{load, side_file};
 pub use save::to_gltf;
 pub use side_files::read_paths;
+pub(crate) use side_names::by_name as image_type;
 
 #[cfg(test)]
 pub(crate) mod fixture;

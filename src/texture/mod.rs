@@ -17,7 +17,8 @@ mod sample;
 mod widen;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
-pub use decode::{decode, header};
+pub use decode::{decode, header, is_lossy};
+pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};
 
@@ -133,6 +134,10 @@ pub enum Format {
     Png,
     /// JPEG.
     Jpeg,
+    /// WebP; written without loss.
+    Webp,
+    /// KTX2; read only.
+    Ktx2,
 }
 
 impl Format {
@@ -141,6 +146,8 @@ impl Format {
         match self {
             Format::Png => "png",
             Format::Jpeg => "jpg",
+            Format::Webp => "webp",
+            Format::Ktx2 => "ktx2",
         }
     }
     /// Media type.
@@ -148,6 +155,8 @@ impl Format {
         match self {
             Format::Png => "image/png",
             Format::Jpeg => "image/jpeg",
+            Format::Webp => "image/webp",
+            Format::Ktx2 => "image/ktx2",
         }
     }
 }
