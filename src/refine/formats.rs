@@ -6,31 +6,49 @@ use crate::context::Context;
 use crate::error::Warning;
 use crate::texture::{Format, Image, Samples, WEBP_SIDE};
 
+/// An uploaded file that a slot is read from.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Upload {
+    /// Container.
+    pub format: Format,
+    /// Whether it was compressed with a loss.
+    pub lossy: bool,
+    /// Size of the file.
+    pub bytes: u64,
+}
+
+impl Upload {
+    /// What its format is called, if `keep` does not write it.
+    fn replaced(&self) -> Option<&'static str> {
+        match (self.format, self.lossy) {
+            (Format::Ktx2, _) => Some("KTX2"),
+            (Format::Webp, true) => Some("lossy WebP"),
+            _ => None,
+        }
+    }
+}
+
 /// What the options make of a slot.
 pub(super) struct Plan<'a> {
     slot: &'a Slot,
+    uploads: Vec<Upload>,
     /// Format of every page that it can hold.
     wanted: Format,
-    /// Whether the upload was compressed with a loss.
-    lossy: bool,
-    /// Whether the format of the upload was to be kept and is not written.
-    replaced: bool,
+    /// Whether the format of the upload was to be kept.
+    keep: bool,
 }
 
 impl<'a> Plan<'a> {
-    /// A slot whose uploaded files are `lossy`, or not.
-    pub(super) fn new(slot: &'a Slot, lossy: bool, format: TextureFormat) -> Self {
-        let uploaded = slot.header.format;
-        let replaced =
-            format == TextureFormat::Keep && (uploaded == Format::Ktx2 || (uploaded == Format::Webp && lossy));
+    /// A slot that is read from `uploads`.
+    pub(super) fn new(slot: &'a Slot, uploads: Vec<Upload>, format: TextureFormat) -> Self {
         let wanted = match format {
-            TextureFormat::Keep if replaced => Format::Png,
-            TextureFormat::Keep => uploaded,
+            TextureFormat::Keep if uploads.iter().any(|u| u.replaced().is_some()) => Format::Png,
+            TextureFormat::Keep => slot.header.format,
             TextureFormat::Png => Format::Png,
             TextureFormat::Jpeg => Format::Jpeg,
             TextureFormat::Webp => Format::Webp,
         };
-        Plan { slot, wanted, lossy, replaced }
+        Plan { slot, uploads, wanted, keep: format == TextureFormat::Keep }
     }
 
     /// The format of a page: PNG where the one that is wanted cannot hold it.
@@ -49,8 +67,8 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// Warns of what the user may not expect of the pages, written in `after` bytes for `before` uploaded ones.
-    pub(super) fn warn(&self, pages: &[Image], before: u64, after: u64, context: &Context) {
+    /// Warns of what the user may not expect of the pages, written in `after` bytes.
+    pub(super) fn warn(&self, pages: &[Image], after: u64, context: &Context) {
         let name = &self.slot.name;
         let warn = |code: &str, text: String| {
             context.warn(Warning::new(code, text).at(format!("/images/{}", self.slot.image)));
@@ -58,13 +76,13 @@ impl<'a> Plan<'a> {
         if let Some(obstacle) = pages.iter().find_map(|page| self.obstacle(page)) {
             warn("kept_png", format!("{name} has {obstacle}: it is written as PNG"));
         }
-        if self.lossy && pages.iter().any(|page| self.of(page) == Format::Jpeg) {
+        if self.uploads.iter().any(|u| u.lossy) && pages.iter().any(|page| self.of(page) == Format::Jpeg) {
             let text =
                 "was compressed with a loss and is compressed once more (set texture.format to \"png\" to avoid that)";
             warn("lossy_reencode", format!("{name} {text}"));
         }
-        if self.replaced {
-            let uploaded = if self.slot.header.format == Format::Ktx2 { "KTX2" } else { "lossy WebP" };
+        if let Some(uploaded) = self.uploads.iter().find_map(Upload::replaced).filter(|_| self.keep) {
+            let before: u64 = self.uploads.iter().map(|u| u.bytes).sum();
             let text = format!("{name} was {uploaded} of {before} bytes and is written as PNG of {after} bytes");
             warn("reencoded_png", text);
         }
@@ -86,10 +104,10 @@ mod tests {
     fn written(uploaded: Format, lossy: bool, wanted: TextureFormat, page: Image) -> (Format, Vec<String>) {
         let mut slot = fixture::slot(0, [8, 8]);
         slot.header.format = uploaded;
-        let plan = Plan::new(&slot, lossy, wanted);
+        let plan = Plan::new(&slot, vec![Upload { format: uploaded, lossy, bytes: 100 }], wanted);
         let context = Context::silent();
         let format = plan.of(&page);
-        plan.warn(&[page], 100, 250, &context);
+        plan.warn(&[page], 250, &context);
         (format, context.warnings().into_iter().map(|w| w.code).collect())
     }
 
@@ -126,12 +144,14 @@ mod tests {
 
     #[test]
     fn the_bytes_before_and_after_are_named() {
-        let mut slot = fixture::slot(0, [8, 8]);
-        slot.header.format = Format::Ktx2;
+        // Of two models that share a sheet, one brings what is not written.
+        let slot = fixture::slot(0, [8, 8]);
+        let upload = |format, lossy, bytes| Upload { format, lossy, bytes };
+        let uploads = vec![upload(Format::Png, false, 70), upload(Format::Ktx2, true, 31)];
         let context = Context::silent();
-        Plan::new(&slot, true, TextureFormat::Keep).warn(&[page(3, false, 8)], 100, 250, &context);
+        Plan::new(&slot, uploads, TextureFormat::Keep).warn(&[page(3, false, 8)], 250, &context);
         let warning = context.warnings().remove(0);
-        assert!(warning.message.contains("100 bytes") && warning.message.contains("250 bytes"), "{}", warning.message);
-        assert_eq!(warning.pointer.as_deref(), Some("/images/0"));
+        assert!(warning.message.contains("101 bytes") && warning.message.contains("250 bytes"), "{}", warning.message);
+        assert_eq!((warning.code.as_str(), warning.pointer.as_deref()), ("reencoded_png", Some("/images/0")));
     }
 }

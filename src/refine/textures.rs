@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::formats::Plan;
+use super::formats::{Plan, Upload};
 use super::group::{Group, Member};
 use super::load::Loaded;
 use super::options::Texture;
@@ -115,8 +115,12 @@ fn bake_slot(
     context: &Context,
 ) -> Result<BakedSlot> {
     let set = group.set();
-    let files: Vec<&[u8]> = group.sources(index).filter_map(|(m, own)| uploaded(loaded, m, own)).collect();
-    let plan = Plan::new(slot, files.iter().any(|f| is_lossy(f)), options.format);
+    let uploads = group.sources(index).filter_map(|(member, own)| {
+        let file = uploaded(loaded, member, own)?;
+        let format = member.set.slots[own].header.format;
+        Some(Upload { format, lossy: is_lossy(file), bytes: file.len() as u64 })
+    });
+    let plan = Plan::new(slot, uploads.collect(), options.format);
     let images = source_images(loaded, group, index, slot, max_pixels)?;
     let readers: Vec<Vec<u32>> = group.sources(index).map(|(m, s)| Group::primitives(m, &m.set.slots[s])).collect();
     let mut sources: Vec<Source<'_>> = Vec::new();
@@ -157,8 +161,7 @@ fn bake_slot(
         },
     );
     let written = written?;
-    let before = files.iter().map(|f| f.len() as u64).sum();
-    plan.warn(&baked.pages, before, written.iter().map(|f| f.bytes.len() as u64).sum(), context);
+    plan.warn(&baked.pages, written.iter().map(|f| f.bytes.len() as u64).sum(), context);
     Ok(BakedSlot {
         slot: index,
         files: written,

@@ -12,14 +12,14 @@ fn smaller(side: u32, angle: f64, scale: f64) -> (Charts, impl Fn(DVec2) -> DVec
     (charts, move |p: DVec2| m.inverse() * (p - size / 2.0 - 0.3) + size / 2.0)
 }
 
-/// The mean over a new texel of the uploaded image, by 24 x 24 points of its bilinear interpolation.
+/// The mean over a new texel of the uploaded image, by 12 x 12 points of its bilinear interpolation.
 fn box_filtered(image: &Image, map: &impl Fn(DVec2) -> DVec2, x: i64, y: i64) -> f64 {
     let mut sum = 0.0;
-    for i in 0..24 * 24 {
-        let p = DVec2::new(x as f64 + (f64::from(i % 24) + 0.5) / 24.0, y as f64 + (f64::from(i / 24) + 0.5) / 24.0);
+    for i in 0..12 * 12 {
+        let p = DVec2::new(x as f64 + (f64::from(i % 12) + 0.5) / 12.0, y as f64 + (f64::from(i / 12) + 0.5) / 12.0);
         sum += bilinear(image, map(p));
     }
-    sum / (24.0 * 24.0)
+    sum / (12.0 * 12.0)
 }
 
 fn bilinear(image: &Image, point: DVec2) -> f64 {
@@ -66,7 +66,7 @@ fn a_zone_plate_made_smaller_does_not_alias() {
                 fast = [fast[0] + (value - 127.5).powi(2), fast[1] + (reference - 127.5).powi(2), fast[2] + 1.0];
             }
         }
-        assert!(slow[1] > 20.0, "{angle} {scale}: {slow:?}");
+        assert!(scale < 0.2 || slow[1] > 20.0, "{angle} {scale}: {slow:?}");
         assert!((slow[0] / slow[1]).sqrt() < 6.0, "{angle} {scale}: what can be shown is off by {slow:?}");
         if fast[2] > 0.0 {
             let [own, reference] = [fast[0], fast[1]].map(|sum| (sum / fast[2]).sqrt());
