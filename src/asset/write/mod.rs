@@ -6,7 +6,7 @@ mod attributes;
 mod blend;
 mod read_back;
 mod skin;
-mod tangents;
+pub(crate) mod tangents;
 #[cfg(test)]
 mod tests;
 mod textures;

@@ -62,7 +62,7 @@ pub(crate) fn ktx2(of: &Ktx2<'_>) -> Vec<u8> {
     words(&[at[0] as u32, descriptor as u32, 0, 0]);
     let global = if of.global.is_empty() { 0 } else { at[1] as u32 };
     words(&[global, 0, of.global.len() as u32, 0]);
-    words(&[at[2] as u32, 0, of.level.len() as u32, 0, of.inflated as u32, 0]);
+    words(&[at[2] as u32, 0, of.level.len() as u32, 0, of.inflated as u32, (of.inflated >> 32) as u32]);
     // Version 2; BT.709, linear; blocks of 4 x 4 texels.
     words(&[descriptor as u32, 0, 2 | (descriptor as u32 - 4) << 16, of.model | 1 << 8 | 1 << 16, 0x0303, 0, 0]);
     of.channels.iter().for_each(|channel| words(&[channel << 24, 0, 0, u32::MAX]));
