@@ -36,6 +36,7 @@ pub use load::{load, load_while, side_file};
 pub use merge::{Counts, Merge, Merged, MergedMaterial, Merging, finish as finish_merge, prepare as prepare_merge};
 pub use save::to_gltf;
 pub use side_files::read_paths;
+pub(crate) use side_names::by_name as image_type;
 
 #[cfg(test)]
 pub(crate) mod fixture;
@@ -52,6 +53,8 @@ pub use read::read;
 pub(crate) use sets::grid;
 pub use sets::{is_small, mark_uniform, small_slot_warning};
 pub use transform::{Layout, Transform};
+#[cfg(test)]
+pub(crate) use write::tangents::generate as mikktspace;
 pub use write::{BakedImage, Refined, read_back, write};
 
 use serde_json::Value;

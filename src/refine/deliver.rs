@@ -156,9 +156,7 @@ fn models(documents: &[Document], output: Output) -> Result<Vec<Artifact>> {
 fn side_file(file: File) -> Artifact {
     let (role, media_type) = match file.path.rsplit('.').next() {
         Some("gltf") => ("model", "model/gltf+json"),
-        Some("png") => ("side_file", "image/png"),
-        Some("jpg" | "jpeg") => ("side_file", "image/jpeg"),
-        _ => ("side_file", "application/octet-stream"),
+        _ => ("side_file", asset::image_type(&file.path).unwrap_or("application/octet-stream")),
     };
     Artifact::new(file.path, role, media_type, file.bytes)
 }

@@ -305,13 +305,15 @@ fn join_slots(members: &mut [Member], reference: [u32; 2]) -> Vec<Slot> {
         let side = |k: usize| (f64::from(reference[k]) * finest[k]).round().clamp(1.0, f64::from(u32::MAX)) as u32;
         let colour = if all().any(|(_, s)| s.header.channels >= 3) { 3 } else { 1 };
         let alpha = u8::from(all().any(|(_, s)| s.header.channels % 2 == 0));
-        let lossless = all().any(|(_, s)| s.header.format != Format::Jpeg);
+        let mut formats = all().map(|(_, s)| s.header.format);
+        let first = formats.next().unwrap_or(Format::Png);
         let header = Header {
             width: side(0),
             height: side(1),
             channels: colour + alpha,
             depth: all().map(|(_, s)| s.header.depth).max().unwrap_or(8),
-            format: if lossless { Format::Png } else { Format::Jpeg },
+            // Files of several formats meet in the one that holds all.
+            format: if formats.all(|f| f == first) { first } else { Format::Png },
         };
         let slot = Slot {
             image: all().next().map_or(0, |(_, s)| s.image),

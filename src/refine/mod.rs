@@ -4,6 +4,7 @@ pub mod box_cutter;
 mod check;
 mod deliver;
 pub mod fabrication;
+mod formats;
 mod group;
 pub mod importance;
 mod load;
@@ -13,6 +14,8 @@ pub mod parse;
 mod report;
 pub mod run;
 mod stage;
+#[cfg(test)]
+mod tests;
 mod textures;
 
 pub use run::{Artifact, Input, Outcome, inspect, inspect_and_judge, refine};

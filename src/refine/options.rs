@@ -140,7 +140,8 @@ pub struct Pack {
     pub mirror: bool,
     /// Charts move by multiples of this many texels of the smallest slot, 1..=64.
     pub grid: u32,
-    /// Free texels between the texels of two charts, in the smallest slot, 0..=64; "auto" is 2 without mipmaps, else 4.
+    /// Free texels between the texels of two charts, in the smallest slot, 0..=64; "auto" is 2 without mipmaps, else 4. With g of them, no
+    /// texel of mip levels 0 to log2 g mixes two charts, and up to the level before, filtering at a border reads nothing of another chart.
     #[schema(value_type = Value)]
     pub gutter: Gutter,
     /// Width / height of a sheet; null is free.
@@ -260,12 +261,14 @@ pub enum Overflow {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TextureFormat {
-    /// PNG stays PNG, JPEG stays JPEG.
+    /// PNG stays PNG, JPEG stays JPEG, lossless WebP stays WebP; KTX2 and lossy WebP become PNG.
     Keep,
     /// PNG, lossless.
     Png,
-    /// JPEG; images with alpha stay PNG.
+    /// JPEG; images with alpha or 16 bits become PNG.
     Jpeg,
+    /// WebP, lossless (EXT_texture_webp); images of 16 bits become PNG.
+    Webp,
 }
 
 /// What the output textures are like.

@@ -158,9 +158,25 @@ fn place(
                     frame.id, texture.max_size
                 ),
             ));
-            fitted(request.max, 1.0)
+            fitted(largest_sheet(request.max[0], request.round, request.aspect), 1.0)
         }
     }
+}
+
+/// The largest sheet with sides up to `max` that rounding allows, of about the aspect (width / height) that is asked for.
+fn largest_sheet(max: f64, round: Rounding, aspect: Option<f64>) -> [f64; 2] {
+    let down = |side: f64| {
+        let up = round.up(side);
+        let step = match round {
+            Rounding::Free => 0.0,
+            Rounding::MultipleOf(m) => m,
+            Rounding::PowerOfTwo(_) => up / 2.0,
+        };
+        // A side that is smaller than the smallest allowed one becomes that.
+        if up > side + 1e-9 && up > step { round.up(up - step) } else { up }
+    };
+    let aspect = aspect.unwrap_or(1.0);
+    [max * aspect.min(1.0), max / aspect.max(1.0)].map(down)
 }
 
 fn apply(atlas: &Atlas, charts: &Charts, together: &Clusters, packed: &Packing) -> Atlas {
@@ -186,4 +202,20 @@ fn lcm(a: u32, b: u32) -> u32 {
         (x, y) = (y, x % y);
     }
     (a.max(1) / x).saturating_mul(b.max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_sheet_keeps_to_rounding_and_aspect() {
+        let multiple = Rounding::MultipleOf(12.0);
+        assert_eq!(largest_sheet(1008.0, multiple, None), [1008.0, 1008.0]);
+        assert_eq!(largest_sheet(1008.0, multiple, Some(2.5)), [1008.0, 396.0]);
+        assert_eq!(largest_sheet(1008.0, multiple, Some(0.01)), [12.0, 1008.0]);
+        let power = Rounding::PowerOfTwo(4.0);
+        assert_eq!(largest_sheet(1000.0, power, None), [512.0, 512.0]);
+        assert_eq!(largest_sheet(1024.0, power, Some(0.5)), [512.0, 1024.0]);
+    }
 }

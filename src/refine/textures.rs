@@ -2,16 +2,17 @@
 
 use glam::DVec2;
 
-use super::group::Group;
+use super::formats::{Plan, Upload};
+use super::group::{Group, Member};
 use super::load::Loaded;
-use super::options::{Texture, TextureFormat};
+use super::options::Texture;
 use crate::asset::{Document, Slot, TextureSet, is_small, mark_uniform, small_slot_warning};
 use crate::atlas::Atlas;
 use crate::context::Context;
-use crate::error::{Code, Failure, Result, Warning};
+use crate::error::{Code, Failure, Result};
 use crate::texture::{
     Alpha, Bake, Direction, FIDELITY_SAMPLES, Fidelity, Format, Image, Role, Samples, Source, Wrap, bake, decode,
-    encode, fidelity,
+    encode, fidelity, is_lossy,
 };
 
 /// Texels about each chart that are taken from the uploaded image: enough for mip levels 0 to 2.
@@ -124,7 +125,12 @@ fn bake_slot(
     context: &Context,
 ) -> Result<BakedSlot> {
     let set = group.set();
-    let pointer = format!("/images/{}", slot.image);
+    let uploads = group.sources(index).filter_map(|(member, own)| {
+        let file = uploaded(loaded, member, own)?;
+        let format = member.set.slots[own].header.format;
+        Some(Upload { format, lossy: is_lossy(file), bytes: file.len() as u64 })
+    });
+    let plan = Plan::new(slot, uploads.collect(), options.format);
     let images = source_images(loaded, group, index, slot, max_pixels)?;
     // By source: its readers with equal wrap modes.
     let readers: Vec<Vec<([Wrap; 2], Vec<u32>)>> = group
@@ -155,27 +161,35 @@ fn bake_slot(
     }
     let job = Bake { before: &set.atlas, after, reference: set.reference, slot, sources, bleed: BLEED };
     let baked = bake(&job, context)?;
-    let (fidelity, files) = rayon::join(
+    let (fidelity, written) = rayon::join(
         || fidelity(&job, &baked, FIDELITY_SAMPLES, context),
         || {
             baked
                 .pages
                 .iter()
                 .map(|page| {
-                    let format = format_of(slot, page, options, context, &pointer);
+                    let format = plan.of(page);
                     let bytes = encode(page, format, options.jpeg_quality)?;
                     Ok(BakedFile { size: [page.width, page.height], format, bytes })
                 })
                 .collect::<Result<Vec<_>>>()
         },
     );
+    let written = written?;
+    plan.warn(&baked.pages, written.iter().map(|f| f.bytes.len() as u64).sum(), context);
     Ok(BakedSlot {
         slot: index,
-        files: files?,
+        files: written,
         verbatim_texels: baked.verbatim_texels,
         resampled_area: baked.resampled_area,
         fidelity: fidelity?,
     })
+}
+
+/// The file of a slot of a member.
+fn uploaded<'a>(loaded: &'a Loaded, member: &Member, own: usize) -> Option<&'a [u8]> {
+    let model = loaded.models.get(member.model)?;
+    model.doc.images.get(member.set.slots.get(own)?.image)?.as_deref()
 }
 
 /// The decoded images of a slot, with the channels and bits of the slot, in the order of its sources.
@@ -184,10 +198,7 @@ fn source_images(loaded: &Loaded, group: &Group, index: usize, slot: &Slot, max_
     for (member, own) in group.sources(index) {
         let image = member.set.slots[own].image;
         let pointer = format!("/images/{image}");
-        let encoded = loaded
-            .models
-            .get(member.model)
-            .and_then(|m| m.doc.images.get(image)?.as_deref())
+        let encoded = uploaded(loaded, member, own)
             .ok_or_else(|| Failure::new(Code::MissingFile, "the image is missing").at(&pointer))?;
         let decoded = decode(encoded, max_pixels).map_err(|f| f.at(&pointer))?;
         images.push(match group.is_joined() {
@@ -202,39 +213,4 @@ fn source_images(loaded: &Loaded, group: &Group, index: usize, slot: &Slot, max_
 fn texel_sheet(slot: &Slot, set: &TextureSet) -> [u32; 2] {
     let side = |k: usize, size: u32| (f64::from(set.reference[k]) / f64::from(size.max(1))).round().max(1.0) as u32;
     [side(0, slot.header.width), side(1, slot.header.height)]
-}
-
-fn format_of(slot: &Slot, page: &Image, options: &Texture, context: &Context, pointer: &str) -> Format {
-    let wanted = match options.format {
-        TextureFormat::Keep => slot.header.format,
-        TextureFormat::Png => Format::Png,
-        TextureFormat::Jpeg => Format::Jpeg,
-    };
-    if wanted != Format::Jpeg {
-        return wanted;
-    }
-    let deep = matches!(page.samples, Samples::U16(_));
-    if page.channels.is_multiple_of(2) || deep {
-        context.warn(
-            Warning::new(
-                "kept_png",
-                format!("{} has alpha or 16 bits, which JPEG cannot hold: it is written as PNG", slot.name),
-            )
-            .at(pointer),
-        );
-        return Format::Png;
-    }
-    if slot.header.format == Format::Jpeg {
-        context.warn(
-            Warning::new(
-                "lossy_reencode",
-                format!(
-                    "{} was a JPEG and is compressed once more (set texture.format to \"png\" to avoid that)",
-                    slot.name
-                ),
-            )
-            .at(pointer),
-        );
-    }
-    Format::Jpeg
 }

@@ -8,9 +8,13 @@ use crate::error::{Failure, Result};
 /// JPEG quality from which chroma keeps its full resolution.
 const FULL_CHROMA: u8 = 90;
 
-/// Encodes an image with its own channels; PNG keeps the depth, JPEG (quality 1..=100) has 8 bits.
+/// Longest side of a WebP file, in texels.
+pub(crate) const WEBP_SIDE: u32 = 16_383;
+
+/// Encodes an image with its own channels; PNG keeps the depth, JPEG (quality 1..=100) has 8 bits, and WebP (lossless) 8 bits in RGB or RGBA.
 ///
-/// Fails with `internal` when the image is inconsistent, has alpha for JPEG, or is too large for the format.
+/// Fails with `internal` when the image is inconsistent, has alpha for JPEG or 16 bits for WebP, is too large for the format, or the
+/// format is only read.
 pub fn encode(image: &Image, format: Format, jpeg_quality: u8) -> Result<Vec<u8>> {
     let samples = match &image.samples {
         Samples::U8(s) => s.len(),
@@ -23,6 +27,8 @@ pub fn encode(image: &Image, format: Format, jpeg_quality: u8) -> Result<Vec<u8>
     match format {
         Format::Png => encode_png(image),
         Format::Jpeg => encode_jpeg(image, jpeg_quality.clamp(1, 100)),
+        Format::Webp => encode_webp(image),
+        Format::Ktx2 => Err(Failure::internal("KTX2 is not written")),
     }
 }
 
@@ -72,6 +78,25 @@ fn encode_jpeg(image: &Image, quality: u8) -> Result<Vec<u8>> {
             encoder.encode(&bytes, width, height, colour).map_err(|e| failed(&e))?;
         }
     }
+    Ok(file)
+}
+
+fn encode_webp(image: &Image) -> Result<Vec<u8>> {
+    let failed = |e: &dyn std::fmt::Display| Failure::internal(format!("a WebP file cannot be written: {e}"));
+    let colour = match image.channels {
+        1 => image_webp::ColorType::L8,
+        2 => image_webp::ColorType::La8,
+        3 => image_webp::ColorType::Rgb8,
+        4 => image_webp::ColorType::Rgba8,
+        n => return Err(failed(&format!("it cannot have {n} channels"))),
+    };
+    let Samples::U8(samples) = &image.samples else { return Err(failed(&"it has 8 bits")) };
+    if image.width.max(image.height) > WEBP_SIDE {
+        return Err(failed(&format!("its sides end at {WEBP_SIDE}")));
+    }
+    let mut file = Vec::new();
+    let encoder = image_webp::WebPEncoder::new(&mut file);
+    encoder.encode(samples, image.width, image.height, colour).map_err(|e| failed(&e))?;
     Ok(file)
 }
 

@@ -17,7 +17,8 @@ mod sample;
 mod widen;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
-pub use decode::{decode, header};
+pub use decode::{decode, header, is_lossy};
+pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};
 
@@ -181,6 +182,10 @@ pub enum Format {
     Png,
     /// JPEG.
     Jpeg,
+    /// WebP; written without loss.
+    Webp,
+    /// KTX2; read only.
+    Ktx2,
 }
 
 impl Format {
@@ -189,17 +194,21 @@ impl Format {
         match self {
             Format::Png => "png",
             Format::Jpeg => "jpg",
+            Format::Webp => "webp",
+            Format::Ktx2 => "ktx2",
         }
     }
     /// Whether a texture names an image of this format by an extension only.
     pub fn needs_extension(self) -> bool {
-        false
+        self == Format::Webp
     }
     /// Media type.
     pub fn media_type(self) -> &'static str {
         match self {
             Format::Png => "image/png",
             Format::Jpeg => "image/jpeg",
+            Format::Webp => "image/webp",
+            Format::Ktx2 => "image/ktx2",
         }
     }
 }

@@ -87,3 +87,35 @@ fn scans_stay_exact_when_moved_by_whole_texels_and_close_under_any_turn() {
         }
     }
 }
+
+#[test]
+fn ktx2_textures_are_what_the_reference_transcoder_makes_of_them() {
+    use sha2::{Digest, Sha256};
+    let data = std::env::var_os("INTARSIA_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
+    // First digits of the SHA-256 of the RGBA that the transcoder of Basis Universal itself gives.
+    for (file, expected) in [
+        ("scans/loaders_agi_ktx2.glb", &["e61efbf639cf3f9b"][..]),
+        (
+            "pbr/cesium_Balloon_ktx2/CesiumBalloonKTX2Hacky.glb",
+            &["83bf34dd8ea4e49a", "326c42a5a33e0072", "7802fc7e099d7f59"],
+        ),
+    ] {
+        let Ok(bytes) = std::fs::read(data.join(file)) else {
+            println!("skipped: {file} is not at hand");
+            continue;
+        };
+        let starts = (0..bytes.len()).filter(|i| bytes[*i..].starts_with(b"\xabKTX 20\xbb"));
+        let found: Vec<String> = starts
+            .map(|start| {
+                let image = decode(&bytes[start..], 1 << 24).unwrap().widened(4, 8);
+                let Samples::U8(texels) = image.samples else { panic!("8 bits expected") };
+                hex::encode(&Sha256::digest(&texels)[..8])
+            })
+            .collect();
+        let mut expected: Vec<&str> = expected.to_vec();
+        let mut found: Vec<&str> = found.iter().map(String::as_str).collect();
+        expected.sort_unstable();
+        found.sort_unstable();
+        assert_eq!(found, expected, "{file}");
+    }
+}

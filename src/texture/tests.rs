@@ -1,5 +1,8 @@
 //! The whole way from an uploaded image to a refined one, against twins by brute force.
 
+mod density;
+mod directions;
+
 use glam::{DMat2, DVec2, DVec3};
 
 use super::direction::Turn;

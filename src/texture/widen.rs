@@ -58,5 +58,6 @@ mod tests {
         assert_eq!(image(3, vec![1, 2, 3]).widened(4, 16).samples, Samples::U16(vec![257, 514, 771, 65535]));
         assert_eq!(image(3, vec![1, 2, 3]).widened(3, 8), image(3, vec![1, 2, 3]));
         assert_eq!(Image::neutral(Role::Normal, 3, 8), image(3, vec![128, 128, 255]));
+        assert_eq!(Image::neutral(Role::Anisotropy, 3, 8), image(3, vec![255, 128, 255]));
     }
 }

@@ -1,0 +1,157 @@
+//! In which format a refined texture is written, and what is to be said about it.
+
+use super::options::TextureFormat;
+use crate::asset::Slot;
+use crate::context::Context;
+use crate::error::Warning;
+use crate::texture::{Format, Image, Samples, WEBP_SIDE};
+
+/// An uploaded file that a slot is read from.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Upload {
+    /// Container.
+    pub format: Format,
+    /// Whether it was compressed with a loss.
+    pub lossy: bool,
+    /// Size of the file.
+    pub bytes: u64,
+}
+
+impl Upload {
+    /// What its format is called, if `keep` does not write it.
+    fn replaced(&self) -> Option<&'static str> {
+        match (self.format, self.lossy) {
+            (Format::Ktx2, _) => Some("KTX2"),
+            (Format::Webp, true) => Some("lossy WebP"),
+            _ => None,
+        }
+    }
+}
+
+/// What the options make of a slot.
+pub(super) struct Plan<'a> {
+    slot: &'a Slot,
+    uploads: Vec<Upload>,
+    /// Format of every page that it can hold.
+    wanted: Format,
+    /// Whether the format of the upload was to be kept.
+    keep: bool,
+}
+
+impl<'a> Plan<'a> {
+    /// A slot that is read from `uploads`.
+    pub(super) fn new(slot: &'a Slot, uploads: Vec<Upload>, format: TextureFormat) -> Self {
+        let wanted = match format {
+            TextureFormat::Keep if uploads.iter().any(|u| u.replaced().is_some()) => Format::Png,
+            TextureFormat::Keep => slot.header.format,
+            TextureFormat::Png => Format::Png,
+            TextureFormat::Jpeg => Format::Jpeg,
+            TextureFormat::Webp => Format::Webp,
+        };
+        Plan { slot, uploads, wanted, keep: format == TextureFormat::Keep }
+    }
+
+    /// The format of a page: PNG where the one that is wanted cannot hold it.
+    pub(super) fn of(&self, page: &Image) -> Format {
+        if self.obstacle(page).is_some() { Format::Png } else { self.wanted }
+    }
+
+    /// What the wanted format cannot hold.
+    fn obstacle(&self, page: &Image) -> Option<&'static str> {
+        let deep = matches!(page.samples, Samples::U16(_));
+        match self.wanted {
+            Format::Jpeg if deep || page.channels.is_multiple_of(2) => Some("alpha or 16 bits, which JPEG cannot hold"),
+            Format::Webp if deep => Some("16 bits, which WebP cannot hold"),
+            Format::Webp if page.width.max(page.height) > WEBP_SIDE => Some("a side that is too long for WebP"),
+            _ => None,
+        }
+    }
+
+    /// Warns of what the user may not expect of the pages, written in `after` bytes.
+    pub(super) fn warn(&self, pages: &[Image], after: u64, context: &Context) {
+        let name = &self.slot.name;
+        let warn = |code: &str, text: String| {
+            context.warn(Warning::new(code, text).at(format!("/images/{}", self.slot.image)));
+        };
+        if let Some(obstacle) = pages.iter().find_map(|page| self.obstacle(page)) {
+            warn("kept_png", format!("{name} has {obstacle}: it is written as PNG"));
+        }
+        if self.uploads.iter().any(|u| u.lossy) && pages.iter().any(|page| self.of(page) == Format::Jpeg) {
+            let text =
+                "was compressed with a loss and is compressed once more (set texture.format to \"png\" to avoid that)";
+            warn("lossy_reencode", format!("{name} {text}"));
+        }
+        if let Some(uploaded) = self.uploads.iter().find_map(Upload::replaced).filter(|_| self.keep) {
+            let before: u64 = self.uploads.iter().map(|u| u.bytes).sum();
+            let text = format!("{name} was {uploaded} of {before} bytes and is written as PNG of {after} bytes");
+            warn("reencoded_png", text);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::fixture;
+
+    fn page(channels: u8, deep: bool, width: u32) -> Image {
+        let count = width as usize * usize::from(channels);
+        let samples = if deep { Samples::U16(vec![0; count]) } else { Samples::U8(vec![0; count]) };
+        Image { width, height: 1, channels, samples }
+    }
+
+    /// The format that a page becomes, and the codes of the warnings.
+    fn written(uploaded: Format, lossy: bool, wanted: TextureFormat, page: Image) -> (Format, Vec<String>) {
+        let mut slot = fixture::slot(0, [8, 8]);
+        slot.header.format = uploaded;
+        let plan = Plan::new(&slot, vec![Upload { format: uploaded, lossy, bytes: 100 }], wanted);
+        let context = Context::silent();
+        let format = plan.of(&page);
+        plan.warn(&[page], 250, &context);
+        (format, context.warnings().into_iter().map(|w| w.code).collect())
+    }
+
+    #[test]
+    fn keep_keeps_what_is_written_and_tells_of_the_rest() {
+        let keep = |format, lossy, channels| written(format, lossy, TextureFormat::Keep, page(channels, false, 8));
+        assert_eq!(keep(Format::Png, false, 4), (Format::Png, vec![]));
+        assert_eq!(keep(Format::Webp, false, 4), (Format::Webp, vec![]));
+        assert_eq!(keep(Format::Jpeg, true, 3), (Format::Jpeg, vec!["lossy_reencode".to_owned()]));
+        assert_eq!(keep(Format::Webp, true, 4), (Format::Png, vec!["reencoded_png".to_owned()]));
+        assert_eq!(keep(Format::Ktx2, true, 3), (Format::Png, vec!["reencoded_png".to_owned()]));
+    }
+
+    #[test]
+    fn png_takes_what_a_format_cannot_hold() {
+        let to = |format, page| written(Format::Png, false, format, page);
+        let kept = || (Format::Png, vec!["kept_png".to_owned()]);
+        assert_eq!(to(TextureFormat::Jpeg, page(3, false, 8)), (Format::Jpeg, vec![]));
+        assert_eq!(to(TextureFormat::Jpeg, page(4, false, 8)), kept());
+        assert_eq!(to(TextureFormat::Jpeg, page(3, true, 8)), kept());
+        assert_eq!(to(TextureFormat::Webp, page(2, false, 8)), (Format::Webp, vec![]));
+        assert_eq!(to(TextureFormat::Webp, page(4, true, 8)), kept());
+        assert_eq!(to(TextureFormat::Webp, page(1, false, 16_383)), (Format::Webp, vec![]));
+        assert_eq!(to(TextureFormat::Webp, page(1, false, 16_384)), kept());
+    }
+
+    #[test]
+    fn a_chosen_format_is_no_surprise_but_a_second_loss_is() {
+        let to = |format| written(Format::Ktx2, true, format, page(3, false, 8));
+        assert_eq!(to(TextureFormat::Png), (Format::Png, vec![]));
+        assert_eq!(to(TextureFormat::Webp), (Format::Webp, vec![]));
+        assert_eq!(to(TextureFormat::Jpeg), (Format::Jpeg, vec!["lossy_reencode".to_owned()]));
+    }
+
+    #[test]
+    fn the_bytes_before_and_after_are_named() {
+        // Of two models that share a sheet, one brings what is not written.
+        let slot = fixture::slot(0, [8, 8]);
+        let upload = |format, lossy, bytes| Upload { format, lossy, bytes };
+        let uploads = vec![upload(Format::Png, false, 70), upload(Format::Ktx2, true, 31)];
+        let context = Context::silent();
+        Plan::new(&slot, uploads, TextureFormat::Keep).warn(&[page(3, false, 8)], 250, &context);
+        let warning = context.warnings().remove(0);
+        assert!(warning.message.contains("101 bytes") && warning.message.contains("250 bytes"), "{}", warning.message);
+        assert_eq!((warning.code.as_str(), warning.pointer.as_deref()), ("reencoded_png", Some("/images/0")));
+    }
+}

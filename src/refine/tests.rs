@@ -1,0 +1,271 @@
+//! What the options promise of charts, sheets and textures, from files to files.
+
+use glam::{DVec2, DVec3, DVec4};
+use serde_json::{Value, json};
+
+use super::{Input, Outcome, parse, refine};
+use crate::asset::{
+    self, Document, File, Limits, TextureSet, mikktspace, read_indices, read_vec2, read_vec3, read_vec4, sample,
+};
+use crate::atlas::{Charts, Topology};
+use crate::context::Context;
+use crate::refine::options::AtlasOptions;
+use crate::texture::{Header, Image, Role, Samples, decode, header};
+
+fn uploaded(name: &str) -> File {
+    File { path: format!("{name}.glb"), bytes: sample::sample(name).unwrap() }
+}
+
+fn run(name: &str, options: Value) -> (Outcome, Vec<String>) {
+    run_on(uploaded(name), options)
+}
+
+fn run_on(file: File, options: Value) -> (Outcome, Vec<String>) {
+    let context = Context::silent();
+    let input = Input { models: vec![vec![file]], extras: true, ..Input::default() };
+    let outcome = refine(&input, &parse::options(&options).unwrap(), &context).unwrap();
+    (outcome, context.warnings().into_iter().map(|w| w.code).collect())
+}
+
+fn document(file: File) -> Document {
+    asset::load(&[file], None, &Limits::default()).unwrap().0
+}
+
+fn model(outcome: &Outcome) -> Document {
+    let found = outcome.artifacts.iter().find(|a| a.name == "model.glb").unwrap();
+    document(File { path: found.name.clone(), bytes: found.bytes.clone() })
+}
+
+fn sets(doc: &Document) -> Vec<TextureSet> {
+    asset::read(doc, &AtlasOptions::default(), &Context::silent()).unwrap()
+}
+
+/// The files of the refined textures whose names contain `part`.
+fn textures<'a>(outcome: &'a Outcome, part: &str) -> Vec<(&'a str, &'a [u8], Header)> {
+    let found = outcome.artifacts.iter().filter(|a| a.role == "texture" && a.name.contains(part));
+    found.map(|a| (a.media_type.as_str(), a.bytes.as_slice(), header(&a.bytes).unwrap())).collect()
+}
+
+fn sides(outcome: &Outcome) -> Vec<[u32; 2]> {
+    textures(outcome, "base_color").iter().map(|(_, _, h)| [h.width, h.height]).collect()
+}
+
+fn options(texture: Value, pack: Value) -> Value {
+    json!({ "texture": texture, "pack": pack, "atlas": { "if_larger": "accept" }, "work_budget": 2_000_000 })
+}
+
+#[test]
+fn sheets_have_the_sizes_that_are_asked_for() {
+    let old = sets(&document(uploaded("textured")))[0].reference;
+    let of = |texture: Value| sides(&run("textured", options(texture, json!({}))).0);
+    let kept = of(json!({}));
+    assert!(kept.len() == 1 && kept[0].iter().all(|s| s % 4 == 0));
+    assert!(kept[0][0] * kept[0][1] < old[0] * old[1], "{kept:?} of {old:?}");
+    assert_eq!(of(json!({ "size": "keep_size" })), [old]);
+    assert_eq!(of(json!({ "size": [192, 320] })), [[192, 320]]);
+    assert!(of(json!({ "multiple_of": 96 }))[0].iter().all(|s| s % 96 == 0));
+    assert!(of(json!({ "power_of_two": true }))[0].iter().all(|s| s.is_power_of_two()));
+
+    // On a sheet that is too small for all: further sheets, or charts made smaller.
+    let max = (kept[0][0].max(kept[0][1]) * 3 / 4).next_multiple_of(4);
+    let pages = of(json!({ "max_size": max }));
+    assert!(pages.len() > 1 && pages.iter().flatten().all(|s| *s <= max), "{pages:?} within {max}");
+    let scale = |power: bool, aspect: Value| {
+        let texture = json!({ "max_size": max, "overflow": "scale", "power_of_two": power });
+        let (outcome, warnings) = run("textured", options(texture, json!({ "aspect": aspect })));
+        assert!(warnings.contains(&"scaled_to_fit".to_owned()), "{warnings:?}");
+        sides(&outcome)
+    };
+    assert_eq!(scale(false, Value::Null), [[max, max]]);
+    assert_eq!(scale(true, Value::Null), [[1 << max.ilog2(); 2]]);
+    assert_eq!(scale(false, json!(1.25)), [[max, (f64::from(max) / 5.0).floor() as u32 * 4]]);
+}
+
+#[test]
+fn the_aspect_of_sheets_is_heeded() {
+    for aspect in [0.5, 1.0, 3.0] {
+        let (outcome, _) = run("textured", options(json!({}), json!({ "aspect": aspect })));
+        let [w, h] = sides(&outcome)[0].map(f64::from);
+        // Both sides are rounded up to multiples of 4.
+        assert!((w + 4.0) / h >= aspect && w / (h + 4.0) <= aspect, "{w} x {h} for {aspect}");
+    }
+}
+
+/// By chart of the uploaded atlas, in reference texels: where its triangles were and are.
+fn moves(name: &str, outcome: &Outcome) -> Vec<Vec<([DVec2; 3], [DVec2; 3])>> {
+    let (before, after) = (sets(&document(uploaded(name))), sets(&model(outcome)));
+    let charts = Charts::new(&Topology::new(&before[0].atlas));
+    let (old, new) = (&before[0].atlas, &after[0].atlas);
+    assert_eq!(old.face_count(), new.face_count());
+    charts.faces.iter().map(|f| f.iter().map(|f| (old.uv_triangle(*f), new.uv_triangle(*f))).collect()).collect()
+}
+
+#[test]
+fn charts_move_on_the_grid_and_do_not_turn_where_they_must_not() {
+    for grid in [1, 8, 12] {
+        let pack = json!({ "rotation": "none", "grid": grid });
+        let (outcome, _) = run("fragmented", options(json!({}), pack));
+        for chart in moves("fragmented", &outcome) {
+            let (shift, grid) = (chart[0].1[0] - chart[0].0[0], f64::from(grid));
+            assert!((shift / grid - (shift / grid).round()).abs().max_element() < 1e-3, "{shift} on {grid}");
+            for (old, new) in chart {
+                old.iter().zip(new).for_each(|(a, b)| assert!((b - *a - shift).length() < 1e-2));
+            }
+        }
+    }
+}
+
+#[test]
+fn charts_are_mirrored_only_where_they_may_be() {
+    let orientation = |t: &[DVec2; 3]| (t[1] - t[0]).perp_dot(t[2] - t[0]);
+    let mirrored = |mirror: bool| {
+        let (outcome, _) = run("fragmented", options(json!({}), json!({ "mirror": mirror })));
+        let charts = moves("fragmented", &outcome);
+        charts.iter().filter(|c| c.iter().any(|(a, b)| orientation(a) * orientation(b) < -1e-3)).count()
+    };
+    assert_eq!(mirrored(false), 0);
+    assert!(mirrored(true) > 0);
+}
+
+/// Whether a triangle meets the inside of the unit cell at `cell`, by separating axes.
+fn meets(triangle: &[DVec2; 3], cell: DVec2) -> bool {
+    let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].map(|(x, y)| cell + DVec2::new(x, y));
+    let edges = (0..3).map(|k| (triangle[(k + 1) % 3] - triangle[k]).perp());
+    let range = |points: &[DVec2], axis: DVec2| {
+        let dots = points.iter().map(|p| p.dot(axis));
+        dots.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], d| [low.min(d), high.max(d)])
+    };
+    [DVec2::X, DVec2::Y].into_iter().chain(edges).all(|axis| {
+        let (a, b) = (range(triangle, axis), range(&corners, axis));
+        let slack = 0.01 * axis.length();
+        a[0] < b[1] - slack && b[0] < a[1] - slack
+    })
+}
+
+#[test]
+fn no_texel_of_the_last_protected_mip_level_mixes_two_charts() {
+    for gutter in [1u32, 2, 4, 8] {
+        let (outcome, _) = run("fragmented", options(json!({}), json!({ "gutter": gutter })));
+        let doc = model(&outcome);
+        let set = &sets(&doc)[0];
+        let charts = Charts::new(&Topology::new(&set.atlas));
+        let side = 1 << gutter.ilog2();
+        let across = set.reference[0].div_ceil(side) as usize;
+        let mut owner = vec![usize::MAX; across * set.reference[1].div_ceil(side) as usize];
+        for (c, faces) in charts.faces.iter().enumerate() {
+            for triangle in faces.iter().map(|f| set.atlas.uv_triangle(*f)) {
+                let low = triangle[0].min(triangle[1]).min(triangle[2]).floor();
+                let high = triangle[0].max(triangle[1]).max(triangle[2]).ceil();
+                for (x, y) in (low.y as usize..high.y as usize)
+                    .flat_map(|y| (low.x as usize..high.x as usize).map(move |x| (x, y)))
+                {
+                    if meets(&triangle, DVec2::new(x as f64, y as f64)) {
+                        let mip = &mut owner[y / side as usize * across + x / side as usize];
+                        assert!(*mip == usize::MAX || *mip == c, "gutter {gutter}: charts {mip} and {c} at {x}, {y}");
+                        *mip = c;
+                    }
+                }
+            }
+        }
+        assert!(charts.len() > 100);
+    }
+}
+
+#[test]
+fn textures_have_the_format_that_is_asked_for() {
+    let of = |format: &str| run("textured", options(json!({ "format": format }), json!({}))).0;
+    let (png, webp, jpeg) = (of("png"), of("webp"), of("jpeg"));
+    for (outcome, media_type) in [(&png, "image/png"), (&webp, "image/webp"), (&jpeg, "image/jpeg")] {
+        let all = textures(outcome, "atlas-");
+        assert!(
+            all.len() > 2
+                && all.iter().all(|(found, _, h)| *found == media_type && h.format.media_type() == media_type)
+        );
+    }
+    for ((_, a, _), (_, b, _)) in textures(&png, "atlas-").into_iter().zip(textures(&webp, "atlas-")) {
+        assert_eq!(decode(a, 1 << 24).unwrap(), decode(b, 1 << 24).unwrap());
+    }
+    let at = |quality: u32| {
+        let (outcome, _) = run("textured", options(json!({ "format": "jpeg", "jpeg_quality": quality }), json!({})));
+        textures(&outcome, "base_color")[0].1.len()
+    };
+    assert!(3 * at(20) < at(95));
+}
+
+/// World-space normals at points of every triangle, from TANGENT (or what renderers compute where there is none), NORMAL and the normal
+/// map, whose x and y count `scale` times.
+fn shading(doc: &Document, scale: f64) -> Vec<DVec3> {
+    let set = &sets(doc)[0];
+    let slot = set.slots.iter().find(|s| s.role == Role::Normal).unwrap();
+    let image = decode(doc.images[slot.image].as_ref().unwrap(), 1 << 24).unwrap();
+    let mut out = Vec::new();
+    for primitive in &set.primitives {
+        let json = &doc.json["meshes"][primitive.mesh]["primitives"][primitive.primitive];
+        let accessor = |name: &str| json["attributes"][name].as_u64().unwrap() as usize;
+        let normals = read_vec3(doc, accessor("NORMAL")).unwrap();
+        let uvs = read_vec2(doc, accessor("TEXCOORD_0")).unwrap();
+        let indices = read_indices(doc, json["indices"].as_u64().unwrap() as usize).unwrap();
+        let faces: Vec<[usize; 3]> = indices.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(|i| i as usize)).collect();
+        let by_corner = if json["attributes"].get("TANGENT").is_some() {
+            let by_vertex = read_vec4(doc, accessor("TANGENT")).unwrap();
+            faces.iter().map(|face| face.map(|v| by_vertex[v])).collect()
+        } else {
+            mikktspace(doc, primitive).unwrap().unwrap()
+        };
+        for (corners, tangents) in faces.iter().zip(by_corner) {
+            for weights in [[0.34, 0.33, 0.33], [0.7, 0.2, 0.1]] {
+                let blend = |of: &dyn Fn(usize) -> DVec4| (0..3).map(|k| of(k) * weights[k]).sum::<DVec4>();
+                let n = blend(&|k| DVec3::from(normals[corners[k]].map(f64::from)).extend(0.0)).truncate().normalize();
+                let t = blend(&|k| DVec4::from(tangents[k].map(f64::from)));
+                let (t, w) = (t.truncate().normalize(), t.w.signum());
+                let uv = blend(&|k| DVec2::from(uvs[corners[k]].map(f64::from)).extend(0.0).extend(0.0));
+                let size = DVec2::new(f64::from(image.width), f64::from(image.height));
+                let v = bilinear(&image, uv.truncate().truncate() * size);
+                let v = DVec3::new(v.x * scale, v.y * scale, v.z);
+                out.push((t * v.x + n.cross(t) * w * v.y + n * v.z).normalize());
+            }
+        }
+    }
+    out
+}
+
+/// The direction at a point, in texels; the image repeats.
+fn bilinear(image: &Image, point: DVec2) -> DVec3 {
+    let Samples::U8(samples) = &image.samples else { panic!("8 bits are expected") };
+    let (base, t) = ((point - 0.5).floor(), point - 0.5 - (point - 0.5).floor());
+    let mut out = DVec3::ZERO;
+    for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+        let wrap = |v: f64, d: i64, n: u32| (v as i64 + d).rem_euclid(i64::from(n)) as usize;
+        let at = (wrap(base.y, dy, image.height) * image.width as usize + wrap(base.x, dx, image.width)) * 3;
+        let weight = (if dx == 1 { t.x } else { 1.0 - t.x }) * (if dy == 1 { t.y } else { 1.0 - t.y });
+        out += weight * DVec3::new(f64::from(samples[at]), f64::from(samples[at + 1]), f64::from(samples[at + 2]));
+    }
+    out / 127.5 - 1.0
+}
+
+#[test]
+fn shading_stays_when_charts_turn_are_mirrored_or_scaled() {
+    let with = document(uploaded("textured"));
+    let mut without = with.clone();
+    for primitive in without.json["meshes"][0]["primitives"].as_array_mut().unwrap() {
+        primitive["attributes"].as_object_mut().unwrap().shift_remove("TANGENT").unwrap();
+    }
+    for doc in [with, without] {
+        let before = shading(&doc, 1.6);
+        for (texture, pack, limit) in [
+            (json!({}), json!({ "rotation": "quarter", "mirror": true }), 1.0),
+            (json!({}), json!({ "rotation": "any", "mirror": true }), 4.0),
+            (json!({ "size": "keep_size" }), json!({ "mirror": true }), 4.0),
+        ] {
+            let file = File { path: "model.glb".to_owned(), bytes: doc.to_glb().unwrap() };
+            let (outcome, _) = run_on(file, options(texture.clone(), pack.clone()));
+            let after = shading(&model(&outcome), 1.6);
+            assert_eq!(before.len(), after.len());
+            let angle = |(a, b): (&DVec3, &DVec3)| a.cross(*b).length().atan2(a.dot(*b)).to_degrees();
+            let mut off: Vec<f64> = before.iter().zip(&after).map(angle).collect();
+            off.sort_by(f64::total_cmp);
+            let p99 = off[off.len() * 99 / 100];
+            assert!(p99 < limit, "{texture} {pack}: {p99} degrees");
+        }
+    }
+}

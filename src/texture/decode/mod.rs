@@ -1,0 +1,105 @@
+//! Image files in: PNG, JPEG, WebP and KTX2, bounded by their headers before anything is allocated.
+
+#[cfg(test)]
+mod fixture;
+mod jpeg;
+mod ktx2;
+mod png;
+#[cfg(test)]
+mod tests;
+mod webp;
+
+use std::panic::{UnwindSafe, catch_unwind};
+
+use super::{Format, Header, Image};
+use crate::error::{Code, Failure, Result};
+
+/// Longest side that a header may declare, in texels.
+const LONGEST_SIDE: u32 = 65_535;
+
+/// Reads what an image file says of itself; nothing is decoded.
+///
+/// Fails with `invalid_image` when the file is of no known kind or its header is broken.
+pub fn header(bytes: &[u8]) -> Result<Header> {
+    let format = format(bytes)?;
+    guarded(|| match format {
+        Format::Png => png::header(bytes),
+        Format::Jpeg => jpeg::header(bytes),
+        Format::Webp => webp::header(bytes),
+        Format::Ktx2 => ktx2::header(bytes),
+    })
+}
+
+/// Decodes an image file of at most `max_pixels` texels, at its own depth; of several mip levels, the first. Palettes and
+/// depths under 8 bits become 8 bits a channel, CMYK becomes RGB; colour profiles, gamma chunks and orientation are ignored, as glTF asks.
+///
+/// Fails with `too_large` beyond `max_pixels` (before any allocation), with `invalid_image` when the file is broken
+/// or ends too early.
+pub fn decode(bytes: &[u8], max_pixels: u64) -> Result<Image> {
+    let format = format(bytes)?;
+    guarded(|| match format {
+        Format::Png => png::decode(bytes, max_pixels),
+        Format::Jpeg => jpeg::decode(bytes, max_pixels),
+        Format::Webp => webp::decode(bytes, max_pixels),
+        Format::Ktx2 => ktx2::decode(bytes, max_pixels),
+    })
+}
+
+/// Whether the file was compressed with a loss, as far as its header tells: JPEG, lossy WebP, Basis Universal.
+pub fn is_lossy(bytes: &[u8]) -> bool {
+    match format(bytes) {
+        Ok(Format::Jpeg) => true,
+        Ok(Format::Webp) => webp::is_lossy(bytes),
+        Ok(Format::Ktx2) => ktx2::is_lossy(bytes),
+        Ok(Format::Png) | Err(_) => false,
+    }
+}
+
+fn invalid(what: impl std::fmt::Display) -> Failure {
+    Failure::new(Code::InvalidImage, format!("the image cannot be decoded: {what}"))
+}
+
+fn format(bytes: &[u8]) -> Result<Format> {
+    if bytes.starts_with(&png::SIGNATURE) {
+        Ok(Format::Png)
+    } else if bytes.starts_with(&[0xff, 0xd8]) {
+        Ok(Format::Jpeg)
+    } else if bytes.starts_with(b"RIFF") && bytes.get(8..12) == Some(b"WEBP") {
+        Ok(Format::Webp)
+    } else if bytes.starts_with(&ktx2::IDENTIFIER) {
+        Ok(Format::Ktx2)
+    } else if bytes.is_empty() {
+        Err(invalid("the file is empty"))
+    } else {
+        Err(invalid("the file is neither PNG, JPEG, WebP nor KTX2"))
+    }
+}
+
+/// Decoders index tables with numbers from the file: where one of them panics on a broken file, the file is at fault, and the
+/// job must end in a sentence. Nothing but the result leaves the closure, so that no state can be left half changed.
+fn guarded<T>(read: impl FnOnce() -> Result<T> + UnwindSafe) -> Result<T> {
+    catch_unwind(read).unwrap_or_else(|_| Err(invalid("its data contradict each other")))
+}
+
+/// Number of samples of an image that may be decoded.
+fn sample_count(header: &Header, max_pixels: u64) -> Result<usize> {
+    let pixels = u64::from(header.width) * u64::from(header.height);
+    if pixels > max_pixels {
+        return Err(Failure::new(
+            Code::TooLarge,
+            format!("an image of {} x {} texels exceeds the limit of {max_pixels} texels", header.width, header.height),
+        ));
+    }
+    pixels
+        .checked_mul(u64::from(header.channels))
+        .and_then(|n| usize::try_from(n).ok())
+        .filter(|n| *n <= isize::MAX as usize / 2)
+        .ok_or_else(|| invalid("its size is out of range"))
+}
+
+fn check_sides(width: u32, height: u32) -> Result<()> {
+    if width == 0 || height == 0 || width > LONGEST_SIDE || height > LONGEST_SIDE {
+        return Err(invalid(format!("a size of {width} x {height} is out of range")));
+    }
+    Ok(())
+}
