@@ -6,7 +6,7 @@ mod attributes;
 mod blend;
 mod read_back;
 mod skin;
-pub(crate) mod tangents;
+mod tangents;
 #[cfg(test)]
 mod tests;
 mod textures;
