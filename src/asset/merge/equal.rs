@@ -34,6 +34,19 @@ pub(super) fn images(doc: &mut Document, scan: &Scan) {
     }
 }
 
+/// Textures name the first of equal samplers (names aside).
+pub(super) fn samplers(doc: &mut Document) {
+    let (same, _) = firsts(array(&doc.json, "samplers"));
+    for texture in doc.json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
+        if let Some(sampler) = texture.get_mut("sampler")
+            && let Some(first) = sampler.as_u64().and_then(|s| same.get(usize::try_from(s).ok()?))
+            && sampler.as_u64() != Some(*first as u64)
+        {
+            *sampler = Value::from(*first);
+        }
+    }
+}
+
 /// Materials name the first of equal textures (names aside); the others are taken out.
 ///
 /// # Errors

@@ -118,6 +118,7 @@ pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
 pub fn finish(doc: &mut Document, merge: Merge) -> Result<Merged> {
     let Merge(mut merged) = merge;
     let triangles = drawn_triangles(doc)?;
+    equal::samplers(doc);
     equal::textures(doc)?;
     let read = named_by_textures(doc);
     let gone: Vec<usize> = doc.merging.spare.difference(&read).copied().collect();

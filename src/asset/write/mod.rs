@@ -7,7 +7,7 @@ mod blend;
 mod extensions;
 mod read_back;
 mod skin;
-pub(crate) mod tangents;
+mod tangents;
 #[cfg(test)]
 mod tests;
 mod textures;

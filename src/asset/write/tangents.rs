@@ -53,7 +53,7 @@ fn is_changed(atlas: &Atlas, before: &Topology, after: &Topology, face: FaceId) 
 
 /// MikkTSpace of an uploaded primitive: the tangents at the corners of each of its faces. None where there are no normals, or
 /// none that make sense of it.
-pub(crate) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Option<Vec<[Tangent; 3]>>> {
+pub(super) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Option<Vec<[Tangent; 3]>>> {
     let pointer = format!("{}/attributes", primitive_pointer(primitive.mesh, primitive.primitive));
     let value = doc.json.pointer(&pointer).unwrap_or(&Value::Null);
     let accessors = array(&doc.json, "accessors").len();
