@@ -53,6 +53,8 @@ pub use read::read;
 pub(crate) use sets::grid;
 pub use sets::{is_small, mark_uniform, small_slot_warning};
 pub use transform::{Layout, Transform};
+#[cfg(test)]
+pub(crate) use write::tangents::generate as mikktspace;
 pub use write::{BakedImage, Refined, read_back, write};
 
 use serde_json::Value;

@@ -6,7 +6,9 @@ use serde_json::{Value, json};
 use super::pack::pack;
 use super::stage::Frame;
 use super::{Input, Outcome, parse, refine};
-use crate::asset::{self, Document, File, Limits, TextureSet, read_indices, read_vec2, read_vec3, read_vec4, sample};
+use crate::asset::{
+    self, Document, File, Limits, TextureSet, mikktspace, read_indices, read_vec2, read_vec3, read_vec4, sample,
+};
 use crate::atlas::{Atlas, Charts, Topology};
 use crate::context::Context;
 use crate::refine::options::AtlasOptions;
@@ -17,8 +19,12 @@ fn uploaded(name: &str) -> File {
 }
 
 fn run(name: &str, options: Value) -> (Outcome, Vec<String>) {
+    run_on(uploaded(name), options)
+}
+
+fn run_on(file: File, options: Value) -> (Outcome, Vec<String>) {
     let context = Context::silent();
-    let input = Input { models: vec![vec![uploaded(name)]], extras: true, ..Input::default() };
+    let input = Input { models: vec![vec![file]], extras: true, ..Input::default() };
     let outcome = refine(&input, &parse::options(&options).unwrap(), &context).unwrap();
     (outcome, context.warnings().into_iter().map(|w| w.code).collect())
 }
@@ -188,7 +194,8 @@ fn textures_have_the_format_that_is_asked_for() {
     assert!(3 * at(20) < at(95));
 }
 
-/// World-space normals at points of every triangle, from TANGENT, NORMAL and the normal map, whose x and y count `scale` times.
+/// World-space normals at points of every triangle, from TANGENT (or what renderers compute where there is none), NORMAL and the normal
+/// map, whose x and y count `scale` times.
 fn shading(doc: &Document, scale: f64) -> Vec<DVec3> {
     let set = &sets(doc)[0];
     let slot = set.slots.iter().find(|s| s.role == Role::Normal).unwrap();
@@ -197,19 +204,25 @@ fn shading(doc: &Document, scale: f64) -> Vec<DVec3> {
     for primitive in &set.primitives {
         let json = &doc.json["meshes"][primitive.mesh]["primitives"][primitive.primitive];
         let accessor = |name: &str| json["attributes"][name].as_u64().unwrap() as usize;
-        let (normals, tangents) =
-            (read_vec3(doc, accessor("NORMAL")).unwrap(), read_vec4(doc, accessor("TANGENT")).unwrap());
+        let normals = read_vec3(doc, accessor("NORMAL")).unwrap();
         let uvs = read_vec2(doc, accessor("TEXCOORD_0")).unwrap();
         let indices = read_indices(doc, json["indices"].as_u64().unwrap() as usize).unwrap();
-        for corners in indices.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(|i| i as usize)) {
+        let faces: Vec<[usize; 3]> = indices.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(|i| i as usize)).collect();
+        let by_corner = if json["attributes"].get("TANGENT").is_some() {
+            let by_vertex = read_vec4(doc, accessor("TANGENT")).unwrap();
+            faces.iter().map(|face| face.map(|v| by_vertex[v])).collect()
+        } else {
+            mikktspace(doc, primitive).unwrap().unwrap()
+        };
+        for (corners, tangents) in faces.iter().zip(by_corner) {
             for weights in [[0.34, 0.33, 0.33], [0.7, 0.2, 0.1]] {
-                let blend =
-                    |of: &dyn Fn(usize) -> DVec4| corners.iter().zip(weights).map(|(c, w)| of(*c) * w).sum::<DVec4>();
-                let n = blend(&|c| DVec3::from(normals[c].map(f64::from)).extend(0.0)).truncate().normalize();
-                let t = blend(&|c| DVec4::from(tangents[c].map(f64::from)));
+                let blend = |of: &dyn Fn(usize) -> DVec4| (0..3).map(|k| of(k) * weights[k]).sum::<DVec4>();
+                let n = blend(&|k| DVec3::from(normals[corners[k]].map(f64::from)).extend(0.0)).truncate().normalize();
+                let t = blend(&|k| DVec4::from(tangents[k].map(f64::from)));
                 let (t, w) = (t.truncate().normalize(), t.w.signum());
-                let uv = blend(&|c| DVec2::from(uvs[c].map(f64::from)).extend(0.0).extend(0.0)).truncate().truncate();
-                let v = bilinear(&image, uv * DVec2::new(f64::from(image.width), f64::from(image.height)));
+                let uv = blend(&|k| DVec2::from(uvs[corners[k]].map(f64::from)).extend(0.0).extend(0.0));
+                let size = DVec2::new(f64::from(image.width), f64::from(image.height));
+                let v = bilinear(&image, uv.truncate().truncate() * size);
                 let v = DVec3::new(v.x * scale, v.y * scale, v.z);
                 out.push((t * v.x + n.cross(t) * w * v.y + n * v.z).normalize());
             }
@@ -234,20 +247,27 @@ fn bilinear(image: &Image, point: DVec2) -> DVec3 {
 
 #[test]
 fn shading_stays_when_charts_turn_are_mirrored_or_scaled() {
-    let before = shading(&document(uploaded("textured")), 1.6);
-    for (texture, pack, limit) in [
-        (json!({}), json!({ "rotation": "quarter" }), 1.0),
-        (json!({}), json!({ "rotation": "quarter", "mirror": true }), 1.0),
-        (json!({}), json!({ "rotation": "any", "mirror": true }), 4.0),
-        (json!({ "size": "keep_size" }), json!({ "mirror": true }), 4.0),
-    ] {
-        let (outcome, _) = run("textured", options(texture.clone(), pack.clone()));
-        let after = shading(&model(&outcome), 1.6);
-        assert_eq!(before.len(), after.len());
-        let mut off: Vec<f64> =
-            before.iter().zip(&after).map(|(a, b)| a.cross(*b).length().atan2(a.dot(*b)).to_degrees()).collect();
-        off.sort_by(f64::total_cmp);
-        let p99 = off[off.len() * 99 / 100];
-        assert!(p99 < limit, "{texture} {pack}: {p99} degrees");
+    let with = document(uploaded("textured"));
+    let mut without = with.clone();
+    for primitive in without.json["meshes"][0]["primitives"].as_array_mut().unwrap() {
+        primitive["attributes"].as_object_mut().unwrap().shift_remove("TANGENT").unwrap();
+    }
+    for doc in [with, without] {
+        let before = shading(&doc, 1.6);
+        for (texture, pack, limit) in [
+            (json!({}), json!({ "rotation": "quarter", "mirror": true }), 1.0),
+            (json!({}), json!({ "rotation": "any", "mirror": true }), 4.0),
+            (json!({ "size": "keep_size" }), json!({ "mirror": true }), 4.0),
+        ] {
+            let file = File { path: "model.glb".to_owned(), bytes: doc.to_glb().unwrap() };
+            let (outcome, _) = run_on(file, options(texture.clone(), pack.clone()));
+            let after = shading(&model(&outcome), 1.6);
+            assert_eq!(before.len(), after.len());
+            let angle = |(a, b): (&DVec3, &DVec3)| a.cross(*b).length().atan2(a.dot(*b)).to_degrees();
+            let mut off: Vec<f64> = before.iter().zip(&after).map(angle).collect();
+            off.sort_by(f64::total_cmp);
+            let p99 = off[off.len() * 99 / 100];
+            assert!(p99 < limit, "{texture} {pack}: {p99} degrees");
+        }
     }
 }

@@ -7,7 +7,7 @@ mod blend;
 mod extensions;
 mod read_back;
 mod skin;
-mod tangents;
+pub(crate) mod tangents;
 #[cfg(test)]
 mod tests;
 mod textures;

@@ -1,4 +1,4 @@
-//! Tangents for charts that have none and were cut or joined.
+//! Tangents for charts that have none and were cut, joined or turned.
 //!
 //! Where a primitive has a normal map and no TANGENT, renderers compute tangents from the texture coordinates (glTF 2.0,
 //! 3.7.2.1: MikkTSpace). Those of the new layout would not be those of the uploaded one wherever charts were cut apart or put
@@ -8,6 +8,7 @@ use bevy_mikktspace::{Geometry, TangentSpace, generate_tangents};
 use serde_json::Value;
 
 use super::blend::{unit, wide};
+use super::turn::Turn;
 use super::vertices::{Point, Points};
 use super::{Refined, reads_directions, uploaded};
 use crate::asset::accessor::{read_vec2, read_vec3};
@@ -18,10 +19,11 @@ use crate::atlas::{Atlas, FaceId, Topology};
 use crate::error::Result;
 
 /// A tangent with its handedness, as glTF has it.
-pub(super) type Tangent = [f32; 4];
+pub(crate) type Tangent = [f32; 4];
 
 /// Which primitives of a set lost the tangents that renderers would compute: they read directions, have NORMAL and no TANGENT, and
-/// a face of theirs was split, or an edge of theirs was cut or joined.
+/// a face of theirs was split, turned or mirrored, or an edge of theirs was cut or joined. (Where UVs are sheared, the
+/// tangents that follow from turned UVs are not the turned tangents.)
 pub(super) fn lost(doc: &Document, refined: &Refined<'_>, faces: &[Vec<FaceId>]) -> Result<Vec<bool>> {
     let set = refined.set;
     let mut lost = Vec::with_capacity(set.primitives.len());
@@ -33,16 +35,18 @@ pub(super) fn lost(doc: &Document, refined: &Refined<'_>, faces: &[Vec<FaceId>])
     if lost.contains(&true) {
         let (before, after) = (Topology::new(&set.atlas), Topology::new(refined.atlas));
         for (lost, faces) in lost.iter_mut().zip(faces) {
-            *lost &= faces.iter().any(|f| is_changed(refined.atlas, &before, &after, *f));
+            *lost &= faces.iter().any(|f| is_changed(&set.atlas, refined.atlas, &before, &after, *f));
         }
     }
     Ok(lost)
 }
 
-/// Whether a face was split, or has other neighbours in its chart than it had.
-fn is_changed(atlas: &Atlas, before: &Topology, after: &Topology, face: FaceId) -> bool {
+/// Whether a face was split or turned, or has other neighbours in its chart than it had.
+fn is_changed(uploaded: &Atlas, atlas: &Atlas, before: &Topology, after: &Topology, face: FaceId) -> bool {
     let provenance = &atlas.provenance[face.index()];
+    let turned = || Turn::of(uploaded.uv_triangle(provenance.source), atlas.uv_triangle(face));
     !provenance.is_whole()
+        || turned().is_some_and(|t| !t.is_none())
         || (0..3).any(|k| {
             let old = before.uv_twin.get(3 * provenance.source.index() + k).copied();
             let source = |h: u32| atlas.provenance.get((h / 3) as usize).map(|p| p.source.0);
@@ -53,7 +57,7 @@ fn is_changed(atlas: &Atlas, before: &Topology, after: &Topology, face: FaceId) 
 
 /// MikkTSpace of an uploaded primitive: the tangents at the corners of each of its faces. None where there are no normals, or
 /// none that make sense of it.
-pub(super) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Option<Vec<[Tangent; 3]>>> {
+pub(crate) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Option<Vec<[Tangent; 3]>>> {
     let pointer = format!("{}/attributes", primitive_pointer(primitive.mesh, primitive.primitive));
     let value = doc.json.pointer(&pointer).unwrap_or(&Value::Null);
     let accessors = array(&doc.json, "accessors").len();
