@@ -133,8 +133,34 @@ fn bits<const N: usize>(v: [f32; N]) -> [u32; N] {
     v.map(|x| (x + 0.0).to_bits())
 }
 
-/// Surface vertex and UV vertex by glTF vertex.
-type Ids = Vec<(u32, u32)>;
+/// Surface vertex and UV vertex.
+type Ids = (u32, u32);
+
+/// Ids by glTF vertex. A thousand meshes may each use three vertices of an accessor of millions: those that use few are
+/// hashed.
+enum Table {
+    Dense(Vec<Ids>),
+    Few(HashMap<u32, Ids>),
+}
+
+impl Table {
+    fn new(vertices: usize, faces: usize) -> Self {
+        if faces < vertices / 16 { Table::Few(HashMap::new()) } else { Table::Dense(vec![(u32::MAX, 0); vertices]) }
+    }
+
+    fn get_or_insert_with(&mut self, vertex: u32, make: impl FnOnce() -> Ids) -> &Ids {
+        match self {
+            Table::Few(known) => known.entry(vertex).or_insert_with(make),
+            Table::Dense(known) => {
+                let ids = &mut known[vertex as usize];
+                if ids.0 == u32::MAX {
+                    *ids = make();
+                }
+                ids
+            }
+        }
+    }
+}
 
 /// The Atlas of some primitives: positions welded within a mesh where they are equal bit by bit, UVs within a
 /// welded vertex; UVs scaled to `size` texels. No provenance, page or sheet yet.
@@ -142,7 +168,6 @@ type Ids = Vec<(u32, u32)>;
 /// # Errors
 /// `too_large` when 32 bits cannot count the corners.
 pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -> Result<Atlas> {
-    const NONE: u32 = u32::MAX;
     let faces: usize = primitives.iter().map(|g| g.corners.len()).sum();
     if faces >= (u32::MAX / 3) as usize {
         return Err(too_many());
@@ -153,18 +178,17 @@ pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -
     let mut vertices: HashMap<(usize, [u32; 3]), u32> = HashMap::new();
     let mut uvs: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
     // By mesh and accessors: the ids of each glTF vertex, once it is used.
-    let mut tables: HashMap<(usize, (usize, usize)), Ids> = HashMap::new();
+    let mut tables: HashMap<(usize, (usize, usize)), Table> = HashMap::new();
     for geometry in primitives {
         context.check()?;
         let known = tables
             .entry((geometry.mesh, geometry.accessors))
-            .or_insert_with(|| vec![(NONE, NONE); geometry.positions.len()]);
+            .or_insert_with(|| Table::new(geometry.positions.len(), geometry.corners.len()));
         for corners in &geometry.corners {
             let mut ids = [(0, 0); 3];
             for (id, &v) in ids.iter_mut().zip(corners) {
-                let v = v as usize;
-                if known[v].0 == NONE {
-                    let (position, uv) = (geometry.positions[v], geometry.uvs[v]);
+                *id = *known.get_or_insert_with(v, || {
+                    let (position, uv) = (geometry.positions[v as usize], geometry.uvs[v as usize]);
                     let vertex = *vertices.entry((geometry.mesh, bits(position))).or_insert_with(|| {
                         atlas.surface.positions.push(DVec3::from(position.map(f64::from)));
                         atlas.surface.positions.len() as u32 - 1
@@ -173,9 +197,8 @@ pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -
                         atlas.uv.push(DVec2::from(uv.map(f64::from)) * scale);
                         atlas.uv.len() as u32 - 1
                     });
-                    known[v] = (vertex, uv);
-                }
-                *id = known[v];
+                    (vertex, uv)
+                });
             }
             atlas.surface.triangles.push(ids.map(|i| VertexId(i.0)));
             atlas.corners.push(ids.map(|i| UvId(i.1)));

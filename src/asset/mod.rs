@@ -11,6 +11,7 @@ mod archive;
 mod glb;
 mod limits;
 mod load;
+mod nodes;
 mod obj;
 mod prune;
 mod resolve;
@@ -28,6 +29,7 @@ pub use accessor::{
 };
 pub use accessor_type::{ComponentType, Kind};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
+pub(crate) use archive::check_entries;
 pub use limits::Limits;
 pub use load::{load, side_file};
 pub use save::to_gltf;

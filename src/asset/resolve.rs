@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::Document;
 use super::limits::Limits;
+use super::nodes;
 use super::structure::{self, list, whole};
 use super::upload::{Entry, Upload};
 use super::uri::{self, quote};
@@ -33,6 +34,7 @@ pub(crate) fn resolve(
     warnings: &mut Vec<Warning>,
 ) -> Result<Document> {
     check_header(&json)?;
+    nodes::check(&json)?;
     let mut budget = Budget { left: limits.max_input_bytes.saturating_mul(2) };
     let buffers = buffers(&json, bin, &entry.path, upload, &mut budget, warnings)?;
     let lengths: Vec<usize> = buffers.iter().map(Vec::len).collect();

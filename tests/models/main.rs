@@ -3,6 +3,9 @@
 
 mod box_cutter;
 mod data;
+mod every;
+mod expected;
 mod geometry;
+mod lossless;
+mod node;
 mod pack;
-mod validator;
