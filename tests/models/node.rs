@@ -39,7 +39,9 @@ fn folder() -> Option<&'static Path> {
 /// What a program says of a file; `None` where it is not at hand.
 fn run(program: &str, file: &Path) -> Option<Value> {
     let output = Command::new("node").arg(folder()?.join(program)).arg(file).output().ok()?;
-    let text = String::from_utf8_lossy(&output.stdout);
+    // What is missing is missing in whichever folder.
+    let folder = file.parent().map(|f| format!("{}/", f.display())).unwrap_or_default();
+    let text = String::from_utf8_lossy(&output.stdout).replace(&folder, "");
     let line = text.lines().next().unwrap_or_default();
     Some(serde_json::from_str(line).unwrap_or_else(|e| {
         panic!("{program} fails on {}: {e}: {}", file.display(), String::from_utf8_lossy(&output.stderr))
