@@ -214,3 +214,20 @@ impl Context {
         self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn warnings_are_told_once_and_only_the_first_are_listed() {
+        let context = Context::silent();
+        for n in (0..MOST_WARNINGS + 7).chain(0..10) {
+            context.warn(Warning::new("a", n.to_string()));
+        }
+        let warnings = context.warnings();
+        assert_eq!(warnings.len(), MOST_WARNINGS + 1);
+        let last = &warnings[MOST_WARNINGS];
+        assert_eq!((last.code.as_str(), last.message.as_str()), ("more_warnings", "7 further warnings are not listed"));
+    }
+}
