@@ -1,5 +1,6 @@
 //! What a stage may know of the world: progress, cancellation, seed, budget and clock.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -43,11 +44,18 @@ pub struct Timing {
     pub seconds: f64,
 }
 
+/// Warnings that are listed one by one; a broken model may give rise to millions.
+const MOST_WARNINGS: usize = 1000;
+
 struct State {
     progress: Progress,
     weights: Vec<(String, f64)>,
     timings: Vec<Timing>,
     warnings: Vec<Warning>,
+    /// The same, to be asked whether one is new. Never walked.
+    known: HashSet<Warning>,
+    /// Warnings beyond those that are listed.
+    unlisted: u64,
     subject: Option<String>,
     started: Instant,
 }
@@ -75,6 +83,8 @@ impl Context {
                 weights: Vec::new(),
                 timings: Vec::new(),
                 warnings: Vec::new(),
+                known: HashSet::new(),
+                unlisted: 0,
                 subject: None,
                 started: Instant::now(),
             }),
@@ -165,22 +175,34 @@ impl Context {
         self.lock().subject = subject.map(str::to_owned);
     }
 
-    /// Records a warning.
+    /// Records a warning, once. Those beyond the first thousand are counted.
     pub fn warn(&self, mut warning: Warning) {
         let mut state = self.lock();
         if let Some(subject) = &state.subject {
             warning.message = format!("{subject}: {}", warning.message);
         }
         tracing::debug!(code = %warning.code, message = %warning.message, "warning");
-        if !state.warnings.contains(&warning) {
-            self.listener.warning(&warning);
-            state.warnings.push(warning);
+        if state.known.contains(&warning) {
+            return;
         }
+        if state.warnings.len() >= MOST_WARNINGS {
+            state.unlisted += 1;
+            return;
+        }
+        self.listener.warning(&warning);
+        state.known.insert(warning.clone());
+        state.warnings.push(warning);
     }
 
-    /// The warnings so far, in the order in which they were found.
+    /// The warnings so far, in the order in which they were found; the last tells how many more there are.
     pub fn warnings(&self) -> Vec<Warning> {
-        self.lock().warnings.clone()
+        let state = self.lock();
+        let mut warnings = state.warnings.clone();
+        if state.unlisted > 0 {
+            let text = format!("{} further warnings are not listed", state.unlisted);
+            warnings.push(Warning::new("more_warnings", text));
+        }
+        warnings
     }
 
     /// Seconds by stage so far.
@@ -190,5 +212,22 @@ impl Context {
 
     fn lock(&self) -> std::sync::MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn warnings_are_told_once_and_only_the_first_are_listed() {
+        let context = Context::silent();
+        for n in (0..MOST_WARNINGS + 7).chain(0..10) {
+            context.warn(Warning::new("a", n.to_string()));
+        }
+        let warnings = context.warnings();
+        assert_eq!(warnings.len(), MOST_WARNINGS + 1);
+        let last = &warnings[MOST_WARNINGS];
+        assert_eq!((last.code.as_str(), last.message.as_str()), ("more_warnings", "7 further warnings are not listed"));
     }
 }

@@ -98,7 +98,7 @@ impl Failure {
 pub type Result<T> = std::result::Result<T, Failure>;
 
 /// Something that the user should know and that did not stop the work.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Warning {
     /// Stable code in snake case.
     pub code: String,

@@ -1,7 +1,7 @@
 //! Zip archives as input: bounded, whatever their headers declare.
 
 use std::borrow::Cow;
-use std::io::{Cursor, Read};
+use std::io::{BufRead, BufReader, Cursor, Read};
 
 use super::upload::Entry;
 use super::uri::{file_name, normalise, quote};
@@ -22,17 +22,8 @@ pub(crate) fn is_zip(bytes: &[u8]) -> bool {
 /// 10,000 entries.
 pub(crate) fn unpack(path: &str, bytes: &[u8], left: &mut u64) -> Result<Vec<Entry<'static>>> {
     let damaged = |what: String| Failure::model(format!("the archive {} cannot be read: {what}", quote(path)));
-    let too_many = |n: u64| {
-        let message = format!("the archive {} has {n} entries, more than {MAX_ENTRIES}", quote(path));
-        Failure::new(Code::TooLarge, message)
-    };
-    if let Some(declared) = declared_entries(bytes).filter(|n| *n > MAX_ENTRIES as u64) {
-        return Err(too_many(declared));
-    }
+    check_entries(path, bytes)?;
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|e| damaged(e.to_string()))?;
-    if archive.len() > MAX_ENTRIES {
-        return Err(too_many(archive.len() as u64));
-    }
     let mut entries = Vec::new();
     for index in 0..archive.len() {
         let mut file = archive.by_index(index).map_err(|e| damaged(e.to_string()))?;
@@ -66,19 +57,34 @@ fn is_litter(name: &str) -> bool {
     name.starts_with("__MACOSX/") || file_name(name).starts_with('.')
 }
 
-/// The number of entries that the end record, or its 64-bit twin, declares: read before the archive is, so that a
-/// directory of millions is not built first.
-fn declared_entries(bytes: &[u8]) -> Option<u64> {
-    let tail = bytes.len().saturating_sub(22 + 0xFFFF);
-    let end = bytes.get(tail..)?.windows(4).rposition(|w| w == b"PK\x05\x06")? + tail;
-    let short = u64::from(u16::from_le_bytes(*bytes.get(end + 10..)?.first_chunk()?));
-    let locator = end.checked_sub(20).and_then(|at| bytes.get(at..end)).filter(|l| l.starts_with(b"PK\x06\x07"));
-    let long = locator.and_then(|locator| {
-        let at = usize::try_from(u64::from_le_bytes(*locator.get(8..)?.first_chunk()?)).ok()?;
-        let record = bytes.get(at..)?.get(..40)?;
-        Some(u64::from_le_bytes(*record.get(32..)?.first_chunk()?))
-    });
-    Some(long.unwrap_or(short).max(short))
+/// Refuses an archive of more than 10,000 entries before it is opened, so that a directory of millions is not built first.
+/// What its end records declare is not believed, and there may be several: an entry of the directory begins with a
+/// signature of its own, and those are counted. `path` is what the archive is called.
+///
+/// # Errors
+/// `too_large`; `internal` when the disk fails.
+pub(crate) fn check_entries(path: &str, archive: impl Read) -> Result<()> {
+    const SIGNATURE: &[u8; 4] = b"PK\x01\x02";
+    let mut archive = BufReader::with_capacity(1 << 16, archive);
+    let (mut count, mut matched) = (0, 0);
+    loop {
+        let chunk = archive.fill_buf().map_err(|e| Failure::internal(format!("{}: {e}", quote(path))))?;
+        if chunk.is_empty() {
+            return Ok(());
+        }
+        for byte in chunk {
+            matched = if *byte == SIGNATURE[matched] { matched + 1 } else { usize::from(*byte == SIGNATURE[0]) };
+            if matched == SIGNATURE.len() {
+                (count, matched) = (count + 1, 0);
+            }
+        }
+        if count > MAX_ENTRIES {
+            let message = format!("the archive {} has more than {MAX_ENTRIES} entries", quote(path));
+            return Err(Failure::new(Code::TooLarge, message));
+        }
+        let length = chunk.len();
+        archive.consume(length);
+    }
 }
 
 #[cfg(test)]

@@ -147,8 +147,34 @@ fn uv_bits(uv: DVec2) -> [u64; 2] {
     [uv.x, uv.y].map(|x| (x + 0.0).to_bits())
 }
 
-/// Surface vertex and UV vertex by glTF vertex.
-type Ids = Vec<(u32, u32)>;
+/// Surface vertex and UV vertex.
+type Ids = (u32, u32);
+
+/// Ids by glTF vertex. A thousand meshes may each use three vertices of an accessor of millions: those that use few are
+/// hashed.
+enum Table {
+    Dense(Vec<Ids>),
+    Few(HashMap<u32, Ids>),
+}
+
+impl Table {
+    fn new(vertices: usize, faces: usize) -> Self {
+        if faces < vertices / 16 { Table::Few(HashMap::new()) } else { Table::Dense(vec![(u32::MAX, 0); vertices]) }
+    }
+
+    fn get_or_insert_with(&mut self, vertex: u32, make: impl FnOnce() -> Ids) -> &Ids {
+        match self {
+            Table::Few(known) => known.entry(vertex).or_insert_with(make),
+            Table::Dense(known) => {
+                let ids = &mut known[vertex as usize];
+                if ids.0 == u32::MAX {
+                    *ids = make();
+                }
+                ids
+            }
+        }
+    }
+}
 
 /// The Atlas of some primitives: positions welded within a mesh where they are equal bit by bit, UVs within a
 /// welded vertex; UVs transformed and scaled to `size` texels. No provenance, page or sheet yet.
@@ -156,7 +182,6 @@ type Ids = Vec<(u32, u32)>;
 /// # Errors
 /// `too_large` when 32 bits cannot count the corners.
 pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -> Result<Atlas> {
-    const NONE: u32 = u32::MAX;
     let faces: usize = primitives.iter().map(|g| g.corners.len()).sum();
     if faces >= (u32::MAX / 3) as usize {
         return Err(too_many());
@@ -167,18 +192,18 @@ pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -
     let mut vertices: HashMap<(usize, [u32; 3]), u32> = HashMap::new();
     let mut uvs: HashMap<(u32, [u64; 2]), u32> = HashMap::new();
     // By mesh, accessors and transform: the ids of each glTF vertex, once it is used.
-    let mut tables: HashMap<(usize, (usize, usize), Transform), Ids> = HashMap::new();
+    let mut tables: HashMap<(usize, (usize, usize), Transform), Table> = HashMap::new();
     for geometry in primitives {
         context.check()?;
         let known = tables
             .entry((geometry.mesh, geometry.accessors, geometry.transform))
-            .or_insert_with(|| vec![(NONE, NONE); geometry.positions.len()]);
+            .or_insert_with(|| Table::new(geometry.positions.len(), geometry.corners.len()));
         for corners in &geometry.corners {
             let mut ids = [(0, 0); 3];
             for (id, &v) in ids.iter_mut().zip(corners) {
-                let v = v as usize;
-                if known[v].0 == NONE {
-                    let (position, uv) = (geometry.positions[v], geometry.transform.apply(geometry.uvs[v]));
+                *id = *known.get_or_insert_with(v, || {
+                    let uv = geometry.transform.apply(geometry.uvs[v as usize]);
+                    let position = geometry.positions[v as usize];
                     let vertex = *vertices.entry((geometry.mesh, bits(position))).or_insert_with(|| {
                         atlas.surface.positions.push(DVec3::from(position.map(f64::from)));
                         atlas.surface.positions.len() as u32 - 1
@@ -187,9 +212,8 @@ pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -
                         atlas.uv.push(uv * scale);
                         atlas.uv.len() as u32 - 1
                     });
-                    known[v] = (vertex, uv);
-                }
-                *id = known[v];
+                    (vertex, uv)
+                });
             }
             atlas.surface.triangles.push(ids.map(|i| VertexId(i.0)));
             atlas.corners.push(ids.map(|i| UvId(i.1)));

@@ -52,6 +52,9 @@ pub fn load_while(
     if entry.bytes.is_empty() {
         return Err(Failure::model(format!("the file {} is empty", quote(&entry.path))));
     }
+    if container != Container::Glb && (entry.bytes.starts_with(b"\xFF\xFE") || entry.bytes.starts_with(b"\xFE\xFF")) {
+        return Err(Failure::model(format!("the file {} is UTF-16 text: save it as UTF-8", quote(&entry.path))));
+    }
     let mut warnings = Vec::new();
     let document = match container {
         Container::Obj => obj::load(entry, &upload, limits, &mut warnings)?,

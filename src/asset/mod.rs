@@ -13,6 +13,7 @@ mod glb;
 mod limits;
 mod load;
 mod merge;
+mod nodes;
 mod obj;
 mod prune;
 mod resolve;
@@ -31,6 +32,7 @@ pub use accessor::{
 };
 pub use accessor_type::{ComponentType, Kind};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
+pub(crate) use archive::check_entries;
 pub use limits::Limits;
 pub use load::{load, load_while, side_file};
 pub use merge::{Counts, Merge, Merged, MergedMaterial, Merging, finish as finish_merge, prepare as prepare_merge};

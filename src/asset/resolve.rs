@@ -8,6 +8,7 @@ use super::Document;
 use super::compression;
 use super::limits::Limits;
 use super::merge::Merging;
+use super::nodes;
 use super::structure::{self, list, whole};
 use super::upload::{Entry, Upload};
 use super::uri::{self, quote};
@@ -42,6 +43,7 @@ pub(crate) fn resolve(
     check: &dyn Fn() -> Result<()>,
 ) -> Result<Document> {
     check_header(&json)?;
+    nodes::check(&json)?;
     let mut budget = Budget { left: limits.max_input_bytes.saturating_mul(2) };
     let buffers = buffers(&json, bin, &entry.path, upload, &mut budget, warnings)?;
     let name = uri::stem(&entry.path).to_owned();

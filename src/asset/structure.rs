@@ -223,12 +223,13 @@ fn inside(offset: usize, stride: usize, size: usize, count: usize, length: usize
     (end <= length).then_some(())
 }
 
-/// Checks every buffer view and accessor against `buffers`, the byte lengths of the buffers. `zeros` is how many
-/// bytes accessors without a buffer view may declare together.
+/// Checks every buffer view and accessor against `buffers`, the byte lengths of the buffers. `most` is how many
+/// bytes accessors without a buffer view may declare together; all of them, which may share their bytes, may declare
+/// twice that.
 ///
 /// # Errors
 /// `invalid_model` or `too_large` with a pointer. Misalignment, which leaves no doubt about the contents, is a warning.
-pub(crate) fn check(json: &Value, buffers: &[usize], zeros: u64, warnings: &mut Vec<Warning>) -> Result<()> {
+pub(crate) fn check(json: &Value, buffers: &[usize], most: u64, warnings: &mut Vec<Warning>) -> Result<()> {
     let count = list(json, "bufferViews")?.len();
     let mut views = Vec::with_capacity(count);
     for index in 0..count {
@@ -247,10 +248,15 @@ pub(crate) fn check(json: &Value, buffers: &[usize], zeros: u64, warnings: &mut 
         }
         views.push(view);
     }
-    let mut zeros_left = zeros;
+    let (mut zeros_left, mut left) = (most, most.saturating_mul(2));
     for index in 0..list(json, "accessors")?.len() {
         let accessor = accessor(json, index)?;
         let pointer = format!("/accessors/{index}");
+        let bytes = (accessor.count * accessor.element_size()) as u64;
+        let too_large = |what: &str| Failure::new(Code::TooLarge, what.to_owned()).at(format!("{pointer}/count"));
+        left = left.checked_sub(bytes).ok_or_else(|| {
+            too_large(&format!("the accessors together declare more than {} bytes", most.saturating_mul(2)))
+        })?;
         let named = |view: usize, pointer: &str| {
             views.get(view).ok_or_else(|| {
                 Failure::model(format!("bufferView {view} does not exist: there are {count}"))
@@ -271,13 +277,8 @@ pub(crate) fn check(json: &Value, buffers: &[usize], zeros: u64, warnings: &mut 
                 }
             }
             None => {
-                let bytes = (accessor.count * accessor.element_size()) as u64;
                 zeros_left = zeros_left.checked_sub(bytes).ok_or_else(|| {
-                    Failure::new(
-                        Code::TooLarge,
-                        format!("accessors without a bufferView declare more than {zeros} bytes"),
-                    )
-                    .at(format!("{pointer}/count"))
+                    too_large(&format!("accessors without a bufferView declare more than {most} bytes"))
                 })?;
             }
         }

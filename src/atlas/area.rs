@@ -112,7 +112,7 @@ struct Strip {
 }
 
 /// Triangles times lines that one group may cost.
-const BUDGET: f64 = 2e8;
+const BUDGET: f64 = 2e7;
 /// Lines over a group's height, at least, where the budget allows.
 const LINES: f64 = 4096.0;
 /// Groups of so few faces are measured without error.

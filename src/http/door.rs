@@ -2,11 +2,12 @@
 //! from the disk and hold none of it in memory; everything else is for the job to find.
 
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use serde::de::IgnoredAny;
 
+use crate::asset::check_entries;
 use crate::error::{Code, Failure, Result};
 use crate::jobs::files::disk;
 
@@ -31,6 +32,8 @@ pub(super) fn check(path: &Path, name: &str, max_json: u64) -> Result<&'static s
         glb(&mut file, &head, length, max_json)?;
         Ok("glb")
     } else if head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06") {
+        file.rewind().map_err(failed)?;
+        check_entries(name, &file)?;
         zip(file)?;
         Ok("zip")
     } else if extension == "obj" {
@@ -82,10 +85,17 @@ fn json(file: &mut File, length: u64, max_json: u64) -> Result<()> {
             format!("the JSON of the model has {length} bytes; the limit is {max_json}"),
         ));
     }
-    let reader = BufReader::with_capacity(1 << 16, file.take(length));
-    let parsed: std::result::Result<serde::de::IgnoredAny, _> = serde_json::from_reader(reader);
-    let _: IgnoredAny = parsed.map_err(|e| Failure::model(format!("the model's JSON is broken: {e}")))?;
-    Ok(())
+    let broken = |e: &dyn std::fmt::Display| Failure::model(format!("the model's JSON is broken: {e}"));
+    let mut reader = BufReader::with_capacity(1 << 16, file.take(length));
+    if reader.fill_buf().is_ok_and(|head| head.starts_with(b"\xef\xbb\xbf")) {
+        reader.consume(3);
+    }
+    let mut stream = serde_json::Deserializer::from_reader(&mut reader).into_iter::<IgnoredAny>();
+    stream.next().transpose().map_err(|e| broken(&e))?.ok_or_else(|| broken(&"there is nothing"))?;
+    drop(stream);
+    // Some writers pad with zeros instead of blanks.
+    let rest = reader.bytes().find(|b| b.as_ref().map_or(true, |b| *b != 0 && !b.is_ascii_whitespace()));
+    rest.map_or(Ok(()), |_| Err(broken(&"something follows the JSON object")))
 }
 
 /// An archive whose directory can be read and names a model.
@@ -124,7 +134,9 @@ mod tests {
 
     #[test]
     fn models_pass_and_are_named() {
-        assert_eq!(checked(&glb_of(b"{\"asset\":{}} "), "model"), Ok("glb"));
+        for json in [&b"{\"asset\":{}} "[..], b"{\"asset\":{}}\0\0\0", b"\xef\xbb\xbf{\"asset\":{}}"] {
+            assert_eq!(checked(&glb_of(json), "model"), Ok("glb"), "{json:?}");
+        }
         assert_eq!(checked(b"\xef\xbb\xbf {\"a\": 1}", "m.gltf"), Ok("gltf"));
         assert_eq!(checked(b"# cube\nv 0 0 0\n", "m.OBJ"), Ok("obj"));
     }

@@ -79,10 +79,10 @@ impl<'a> Table<'a> {
         Table { shapes, sheet: Occupancy::new(width + pad, height + pad, shapes.pitch), width, height }
     }
 
-    pub fn stamp(&mut self, piece: usize, spot: Spot, taken: bool) {
+    pub fn stamp(&mut self, piece: usize, spot: Spot, taken: bool, work: &mut u64) {
         let g = self.shapes.gutter;
         let mask = &self.shapes.of_piece[piece][spot.orientation as usize].mask;
-        self.sheet.stamp(mask, spot.x as usize + g, spot.y as usize + g, taken);
+        *work += self.sheet.stamp(mask, spot.x as usize + g, spot.y as usize + g, taken);
     }
 
     /// The first free spot of the piece in this orientation with its corner in the window (inclusive), by rows.
@@ -132,12 +132,17 @@ impl<'a> Table<'a> {
 /// Runs the plan.
 pub(crate) fn greedy<'a>(shapes: &'a Shapes, plan: &Plan) -> (Layout, Table<'a>) {
     let mut table = Table::new(shapes, plan.width, plan.height);
-    let mut layout =
-        Layout { spots: vec![None; shapes.of_piece.len()], width: 0, height: 0, left_over: Vec::new(), work: 0 };
+    let mut layout = Layout {
+        spots: vec![None; shapes.of_piece.len()],
+        width: 0,
+        height: 0,
+        left_over: Vec::new(),
+        work: table.sheet.cost(),
+    };
     for &piece in &plan.order {
         match table.best(piece as usize, plan.rule, layout.height, plan.height, &mut layout.work) {
             Some(spot) => {
-                table.stamp(piece as usize, spot, true);
+                table.stamp(piece as usize, spot, true, &mut layout.work);
                 let mask = &shapes.of_piece[piece as usize][spot.orientation as usize].mask;
                 layout.width = layout.width.max(spot.x as usize + mask.width);
                 layout.height = layout.height.max(spot.y as usize + mask.height);
@@ -170,14 +175,14 @@ pub(crate) fn settle(table: &mut Table<'_>, layout: &mut Layout, rounds: usize) 
         let mut moved = false;
         for (top, piece) in order {
             let Some(spot) = layout.spots[piece] else { continue };
-            table.stamp(piece, spot, false);
+            table.stamp(piece, spot, false, &mut layout.work);
             let rule = Rule { growth: 0.0, top: 1.0, low: 0.0 };
             let found = table.best(piece, rule, 0, top, &mut layout.work).unwrap_or(spot);
             let height = table.shapes.of_piece[piece][found.orientation as usize].mask.height;
             let better = (found.y as usize + height, found.x) < (top, spot.x);
             let next = if better { found } else { spot };
             moved |= better;
-            table.stamp(piece, next, true);
+            table.stamp(piece, next, true, &mut layout.work);
             layout.spots[piece] = Some(next);
         }
         layout.measure(table.shapes);

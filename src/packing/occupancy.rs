@@ -98,8 +98,13 @@ impl Occupancy {
         Occupancy { width, height, pitch, bits: vec![0; pitch.row() * height + 2], room: vec![width as u32; height] }
     }
 
-    /// Takes (or frees) the cells of a mask placed at `(x, y)`.
-    pub fn stamp(&mut self, mask: &Mask, x: usize, y: usize, taken: bool) {
+    /// What making one costs, in the unit of [`Occupancy::find`]: clearing a word is cheap.
+    pub fn cost(&self) -> u64 {
+        self.bits.len() as u64 / 16
+    }
+
+    /// Takes (or frees) the cells of a mask placed at `(x, y)`. Gives the work, in the unit of [`Occupancy::find`].
+    pub fn stamp(&mut self, mask: &Mask, x: usize, y: usize, taken: bool) -> u64 {
         let (offset, shift) = (x / 64, x % 64);
         for row in 0..mask.height {
             let base = (y + row) * self.pitch.row();
@@ -126,6 +131,9 @@ impl Occupancy {
             self.room[y + row] = longest_free(line, self.width);
             self.lift(y + row, x, x + mask.width);
         }
+        // Of each row: the free runs of all of it, and every level about the mask.
+        let levels = (self.pitch.levels + 1) * (mask.width / 64 + 2);
+        (mask.height * (self.pitch.words + levels) / 2) as u64
     }
 
     /// Recomputes the levels of a row for cells that can see `from..to`.

@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use serde_json::Value;
+
 use super::group::{Group, can_join};
 use super::importance::{Importance, Subject, importances};
 use super::options::Options;
@@ -68,9 +70,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     }
     context.speak_of(None);
     if sets.is_empty() && context.warnings().is_empty() {
-        let text =
-            "the model passes through as it is: it has no triangles with texture coordinates that could be refined";
-        context.warn(Warning::new("nothing_to_refine", text));
+        context.warn(nothing_to_refine(&loaded.models, options.atlas.uv_set));
     }
     let weights = match &options.importance {
         Some(source) => {
@@ -102,6 +102,26 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     }
     context.speak_of(None);
     Ok(loaded)
+}
+
+/// Why there is nothing to refine.
+fn nothing_to_refine(models: &[Model], uv_set: u32) -> Warning {
+    let list = |value: &Value, key: &str| value.get(key).and_then(Value::as_array).cloned().unwrap_or_default();
+    let meshes = models.iter().flat_map(|m| list(&m.doc.json, "meshes"));
+    let primitives = meshes.flat_map(|mesh| list(&mesh, "primitives"));
+    let triangles = primitives.filter(|p| p.get("mode").is_none_or(|m| m.as_u64().is_some_and(|m| m >= 4)));
+    let name = format!("TEXCOORD_{uv_set}");
+    let (mut all, mut with) = (0, 0);
+    for primitive in triangles {
+        all += 1;
+        with += u64::from(primitive.get("attributes").is_some_and(|a| a.get(&name).is_some()));
+    }
+    let message = match (all, with) {
+        (0, _) => "the model has no triangles".to_owned(),
+        (_, 0) => format!("the model has no texture coordinates: none of its {all} triangle primitives has {name}"),
+        _ => format!("none of the {with} primitives with texture coordinates has triangles that could be refined"),
+    };
+    Warning::new("nothing_to_refine", format!("nothing is refined: {message}"))
 }
 
 /// What a model of several is called: its file, where that tells it from the others.

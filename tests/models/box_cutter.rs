@@ -7,7 +7,7 @@ use intarsia::refine::options::{IfLarger, Options, OverlapMode, Recipe, Rotation
 use intarsia::refine::{Input, Outcome, refine};
 use intarsia::texture::{Image, Samples, decode};
 
-use super::{data, geometry, validator};
+use super::{data, geometry, node};
 
 fn options() -> Options {
     let mut options = Options { recipe: Recipe::Preset("box_cutter".to_owned()), ..Options::default() };
@@ -56,7 +56,7 @@ fn cut_models_are_valid_whole_and_free_of_overlaps() {
         let file = |kind: &str| folder.join(format!("{}.cut-{kind}.glb", name.replace('/', "_")));
         std::fs::write(file("before"), &original).expect("a file");
         std::fs::write(file("after"), glb).expect("a file");
-        if let (Some(before), Some(after)) = (validator::errors(&file("before")), validator::errors(&file("after"))) {
+        if let (Some(before), Some(after)) = (node::errors(&file("before")), node::errors(&file("after"))) {
             let new: Vec<_> = after.difference(&before).collect();
             assert!(new.is_empty(), "{name}: the validator finds {new:?}");
         }

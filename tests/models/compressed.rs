@@ -5,7 +5,7 @@ use intarsia::context::Context;
 use intarsia::refine::options::Options;
 use intarsia::refine::{Input, Outcome, refine};
 
-use super::{data, geometry, validator};
+use super::{data, geometry, node};
 
 fn open(files: &[File]) -> (Document, Vec<String>) {
     let (doc, warnings) = load(files, None, &Limits::default()).expect("the model loads");
@@ -57,7 +57,7 @@ fn same_surfaces(compressed: &Document, plain: &Document, within: f32) {
 fn is_valid(doc: &Document, name: &str) {
     let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.decompressed.glb"));
     std::fs::write(&file, doc.to_glb().expect("a GLB")).expect("a file");
-    if let Some(mut errors) = validator::errors(&file) {
+    if let Some(mut errors) = node::errors(&file) {
         errors.retain(|e| !e.contains("ACCESSOR_VECTOR3_NON_UNIT"));
         assert!(errors.is_empty(), "{name}: the validator finds {errors:?}");
     }

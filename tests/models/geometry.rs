@@ -11,12 +11,18 @@ pub struct Corner {
     morphs: Vec<[f32; 3]>,
 }
 
-/// The corners of every triangle of every primitive, in order: by mesh, by primitive.
+/// The corners of every triangle of every primitive, in order: by mesh, by primitive. The crate reads no positions but
+/// floats: a primitive with others has none here.
 pub fn corners(glb: &[u8]) -> Vec<Vec<Corner>> {
     let model = gltf::Gltf::from_slice_without_validation(glb).expect("a GLB");
     let blob = model.blob.as_deref().unwrap_or_default();
     let mut all = Vec::new();
     for primitive in model.meshes().flat_map(|m| m.primitives().collect::<Vec<_>>()) {
+        let positions = primitive.get(&gltf::Semantic::Positions).expect("positions");
+        if positions.data_type() != gltf::accessor::DataType::F32 {
+            all.push(Vec::new());
+            continue;
+        }
         let reader = primitive.reader(|_| Some(blob));
         let positions: Vec<_> = reader.read_positions().expect("positions").collect();
         let normals: Option<Vec<_>> = reader.read_normals().map(Iterator::collect);
@@ -37,7 +43,15 @@ pub fn corners(glb: &[u8]) -> Vec<Vec<Corner>> {
                 morphs: morphs.iter().map(|m| m[i]).collect(),
             }
         };
-        all.push(indices.into_iter().map(corner).collect());
+        let triangles: Vec<u32> = match primitive.mode() {
+            gltf::mesh::Mode::TriangleStrip => {
+                let turned = |(i, w): (usize, &[u32])| [w[0], w[1 + i % 2], w[2 - i % 2]];
+                indices.windows(3).enumerate().flat_map(turned).collect()
+            }
+            gltf::mesh::Mode::TriangleFan => indices[1..].windows(2).flat_map(|w| [w[0], w[1], indices[0]]).collect(),
+            _ => indices,
+        };
+        all.push(triangles.into_iter().map(corner).collect());
     }
     all
 }

@@ -4,6 +4,9 @@
 mod box_cutter;
 mod compressed;
 mod data;
+mod every;
+mod expected;
 mod geometry;
+mod lossless;
+mod node;
 mod pack;
-mod validator;

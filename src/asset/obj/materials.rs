@@ -1,6 +1,6 @@
 //! OBJ materials as glTF materials, textures, samplers and images.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use percent_encoding::utf8_percent_encode;
 use serde_json::{Value, json};
@@ -19,6 +19,8 @@ pub(crate) fn read_libraries(
     warnings: &mut Vec<Warning>,
 ) -> BTreeMap<String, (String, Mtl)> {
     let mut found = BTreeMap::new();
+    // Lines may name one file a million times.
+    let (mut read, mut missing) = (BTreeSet::new(), BTreeSet::new());
     for line in names {
         // A name with blanks, or several names.
         let whole = find(line, model_path, upload).map(|file| vec![(line.as_str(), Some(file))]);
@@ -26,10 +28,16 @@ pub(crate) fn read_libraries(
             .unwrap_or_else(|| line.split_whitespace().map(|name| (name, find(name, model_path, upload))).collect());
         for (name, file) in parts {
             let Some(file) = file else {
+                if !missing.insert(name) {
+                    continue;
+                }
                 let message = format!("the material library {} was not uploaded", quote(name));
                 warnings.push(Warning::new("missing_material_library", message));
                 continue;
             };
+            if !read.insert(file.path.as_str()) {
+                continue;
+            }
             for material in super::mtl::parse(&file.bytes) {
                 found.entry(material.name.clone()).or_insert_with(|| (file.path.clone(), material));
             }

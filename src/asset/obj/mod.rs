@@ -11,7 +11,7 @@ mod parse;
 mod polygon;
 mod primitives;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::json;
 
@@ -124,16 +124,16 @@ pub(crate) fn looks_like(text: &[u8]) -> bool {
 /// Clean relative paths of the libraries that an OBJ text names, as one name with blanks and as several.
 pub(crate) fn libraries(text: &[u8]) -> Vec<String> {
     let mut found = Vec::new();
+    let mut known = BTreeSet::new();
     let mut lines = Lines::new(text);
     while let Some((_, line)) = lines.next_line() {
         if let (b"mtllib", rest) = keyword(line) {
             let rest = String::from_utf8_lossy(rest);
             let names = std::iter::once(rest.as_ref()).chain(rest.split_whitespace());
             let clean = names.filter_map(|n| uri::join("", n).or_else(|| uri::normalise(uri::file_name(n))));
-            found.extend(clean.collect::<Vec<_>>());
+            found.extend(clean.filter(|name| known.insert(name.clone())));
         }
     }
-    found.dedup();
     found
 }
 

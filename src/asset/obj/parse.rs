@@ -9,6 +9,9 @@ use crate::error::{Code, Failure, Result};
 /// No texture coordinate, no normal, no material.
 pub(crate) const NONE: u32 = u32::MAX;
 
+/// Most materials of one file: each becomes a primitive, which takes some kilobytes however few faces it has.
+const MOST_MATERIALS: usize = 100_000;
+
 /// A corner of a face: indices from 0 of its position, texture coordinate and normal.
 pub(crate) type Corner = [u32; 3];
 
@@ -92,6 +95,10 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<Geometry> {
             }
             b"usemtl" => {
                 let next = known.len() as u32;
+                if next as usize > MOST_MATERIALS {
+                    let message = format!("line {number}: the model has more than {MOST_MATERIALS} materials");
+                    return Err(Failure::new(Code::TooLarge, message));
+                }
                 let name = String::from_utf8_lossy(rest).into_owned();
                 material = *known.entry(name).or_insert_with_key(|name| {
                     geometry.materials.push(name.clone());

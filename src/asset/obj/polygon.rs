@@ -55,19 +55,20 @@ impl Triangulator {
                 if best.is_none_or(|(most, _)| area > most) {
                     best = Some((area, k));
                 }
+                // Every look at a corner counts: a polygon may have ears in one place only.
+                self.left = self.left.saturating_sub(if area <= 0.0 { 1 } else { n as u64 });
+                if self.left == 0 {
+                    break;
+                }
                 if area <= 0.0 {
                     continue;
                 }
-                self.left = self.left.saturating_sub(n as u64);
                 let blocked = self.ring.iter().any(|i| {
                     let p = point(*i);
                     !triangle.contains(i) && p != a && p != b && p != c && within(p, a, b, c)
                 });
                 if !blocked {
                     found = Some(k);
-                    break;
-                }
-                if self.left == 0 {
                     break;
                 }
             }

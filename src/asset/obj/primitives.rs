@@ -124,7 +124,8 @@ impl Part {
         if !self.colors.is_empty() && textured {
             let message = "vertex colours beside a colour map are dropped: the map is meant alone";
             let warning = Warning::new("vertex_colors_dropped", message);
-            if !warnings.contains(&warning) {
+            // Primitives that follow one another say it once.
+            if warnings.last() != Some(&warning) {
                 warnings.push(warning);
             }
         } else if !self.colors.is_empty() {

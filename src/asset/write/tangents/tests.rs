@@ -136,9 +136,13 @@ fn charts_that_only_move_get_no_tangents() {
     let doc = strip(4);
     let set = set_of(&doc);
     let charts = Charts::new(&Topology::new(&set.atlas));
-    let there = Move { page: 0, linear: glam::DMat2::from_angle(0.4), translate: DVec2::new(90.0, 30.0) };
-    let out = written(&doc, &set, &set.atlas.moved(&charts, &[there], vec![[300, 300]]));
-    assert_eq!(accessor(&out, "attributes/TANGENT"), None);
+    let out = |angle: f64| {
+        let there = Move { page: 0, linear: glam::DMat2::from_angle(angle), translate: DVec2::new(90.0, 30.0) };
+        written(&doc, &set, &set.atlas.moved(&charts, &[there], vec![[300, 300]]))
+    };
+    assert_eq!(accessor(&out(0.0), "attributes/TANGENT"), None);
+    // Turned, sheared UVs would give others than the uploaded ones, turned.
+    assert!(accessor(&out(0.4), "attributes/TANGENT").is_some());
     // Without normals shading is flat, and tangents would be refused.
     let mut flat = doc.clone();
     flat.json["meshes"][0]["primitives"][0]["attributes"].as_object_mut().unwrap().shift_remove("NORMAL");
