@@ -45,9 +45,9 @@ impl Page {
         let mut faces = Vec::new();
         let mut edges = Vec::new();
         let here = |f: usize| atlas.page[f] == page && maps.of_face[f] != Maps::NONE;
-        let side = |f: usize| {
-            let [a, b, c] = maps.corners[f];
-            let area = (b - a).perp_dot(c - a);
+        // On which side of its edge `k` a face lies: turning senses say nothing where faces are wound inconsistently.
+        let side = |f: usize, k: usize, [a, b]: [DVec2; 2]| {
+            let area = (b - a).perp_dot(maps.corners[f][(k + 2) % 3] - a);
             if area == 0.0 { 0.0 } else { area.signum() }
         };
         for f in (0..atlas.face_count()).filter(|f| here(*f)) {
@@ -56,10 +56,12 @@ impl Page {
             let high = a.y.max(b.y).max(c.y);
             faces.push((f as u32, rows(low, high, size[1])));
             for k in 0..3 {
-                let twin = topology.uv_twin.get(3 * f + k).map_or(usize::MAX, |t| (*t / 3) as usize);
-                let inside = twin < atlas.face_count() && here(twin) && side(f) * side(twin) > 0.0;
+                let ends = [maps.corners[f][k], maps.corners[f][(k + 1) % 3]];
+                let twin = topology.uv_twin.get(3 * f + k).map_or(usize::MAX, |t| *t as usize);
+                let (other, at) = (twin / 3, twin % 3);
+                let inside =
+                    other < atlas.face_count() && here(other) && side(f, k, ends) * side(other, at, ends) < 0.0;
                 if !inside {
-                    let ends = [maps.corners[f][k], maps.corners[f][(k + 1) % 3]];
                     let (low, high) = (ends[0].y.min(ends[1].y), ends[0].y.max(ends[1].y));
                     let rows = rows(low - bleed, high + bleed, size[1]);
                     edges.push(Edge { ends, face: f as u32, rows });

@@ -178,6 +178,28 @@ fn every_footprint_of_a_chart_moved_by_whole_texels_is_the_uploaded_one() {
 }
 
 #[test]
+fn a_fold_between_faces_wound_against_each_other_has_its_ring() {
+    let image = noise(64, 64, 3, 5);
+    let mut charts = Charts::new([64, 64], [64, 64]);
+    // Two faces on the same side of their common edge, one within the other.
+    let corners = [[8.3, 20.34], [30.0, 28.0], [50.2, 20.33], [28.0, 24.0]].map(DVec2::from);
+    charts.fan(0, &corners, |p| p + DVec2::new(5.0, 9.0));
+    // Wound the same way, so that they pass the edge in the same direction.
+    for atlas in [&mut charts.before, &mut charts.after] {
+        atlas.corners[1].swap(1, 2);
+        atlas.surface.triangles[1].swap(1, 2);
+    }
+    let slot = slot(Role::BaseColor, &image);
+    let out = bake(&charts.bake(&slot, &image), &Context::silent()).unwrap().pages.remove(0);
+    // What is read along the edge: the rows 19 and 20, moved.
+    for x in 10..48 {
+        for y in [19, 20] {
+            assert_eq!(texel(&out, x + 5, y + 9), texel(&image, x, y), "{x} {y}");
+        }
+    }
+}
+
+#[test]
 fn texels_belong_to_the_lowest_face_over_their_centre() {
     let mut random = Random(3);
     let image = noise(64, 64, 1, 3);
