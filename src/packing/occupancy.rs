@@ -98,9 +98,9 @@ impl Occupancy {
         Occupancy { width, height, pitch, bits: vec![0; pitch.row() * height + 2], room: vec![width as u32; height] }
     }
 
-    /// What making one costs, in the unit of [`Occupancy::find`]: clearing a word is cheap, but a large sheet is fresh memory.
+    /// What making one costs, in the unit of [`Occupancy::find`]: clearing a word is cheap.
     pub fn cost(&self) -> u64 {
-        self.bits.len() as u64 / 4
+        self.bits.len() as u64 / 16
     }
 
     /// Takes (or frees) the cells of a mask placed at `(x, y)`. Gives the work, in the unit of [`Occupancy::find`].

@@ -52,7 +52,13 @@ fn run(program: &str, file: &Path) -> Option<Value> {
 pub fn errors(file: &Path) -> Option<BTreeSet<String>> {
     let report = run("validate.cjs", file)?;
     let errors = report["errors"].as_array().expect("a list of errors");
-    Some(errors.iter().map(|e| format!("{}: {}", e["code"], e["message"])).collect())
+    // A file that is missing is named with its folder, or without.
+    let text = |e: &Value| {
+        let message = e["message"].as_str().unwrap_or_default();
+        let file = message.rsplit(['/', '\'']).find(|part| !part.is_empty()).filter(|_| e["code"] == "IO_ERROR");
+        format!("{}: {}", e["code"], file.unwrap_or(message))
+    };
+    Some(errors.iter().map(text).collect())
 }
 
 /// What three.js makes of a file.

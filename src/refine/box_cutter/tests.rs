@@ -45,7 +45,11 @@ fn options(gutter: u32) -> Options {
 }
 
 fn run(atlas: &Atlas, params: &BoxCutter, weights: Option<&[[f64; 3]]>) -> Staged {
-    let staged = box_cutter(atlas, &frame(), weights, params, &options(0), &Context::silent()).unwrap();
+    run_with(atlas, params, weights, &options(0))
+}
+
+fn run_with(atlas: &Atlas, params: &BoxCutter, weights: Option<&[[f64; 3]]>, options: &Options) -> Staged {
+    let staged = box_cutter(atlas, &frame(), weights, params, options, &Context::silent()).unwrap();
     check(atlas, &staged.atlas, Exactness::Exact).unwrap();
     let charts = Charts::new(&Topology::new(&staged.atlas));
     let left = overlaps(&staged.atlas, &charts, 10);
@@ -135,12 +139,13 @@ fn important_regions_are_left_alone() {
         open(&staged.atlas, &topology) - open(&cross, &before)
     };
     let params = BoxCutter { max_boundary_length: Some(1.5), ..BoxCutter::default() };
-    let plain = run(&cross, &params, None);
+    let options = Options { work_budget: Some(20_000_000), ..options(0) };
+    let plain = run_with(&cross, &params, None, &options);
     let halves: [&dyn Fn(DVec2) -> bool; 4] = [&|p| p.x < 14.0, &|p| p.x > 16.0, &|p| p.y < 14.0, &|p| p.y > 16.0];
     let important = halves.into_iter().max_by(|a, b| inside(&plain, a).total_cmp(&inside(&plain, b))).unwrap();
     let weights: Vec<[f64; 3]> =
         cross.faces().map(|f| cross.uv_triangle(f).map(|p| if important(p) { 100.0 } else { 1.0 })).collect();
-    let biased = run(&cross, &params, Some(&weights));
+    let biased = run_with(&cross, &params, Some(&weights), &options);
     let (before, after) = (inside(&plain, important), inside(&biased, important));
     assert!(before > 1.0, "{before}");
     assert!(after <= 0.2 * before, "{after} of {before}");
