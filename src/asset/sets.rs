@@ -189,8 +189,11 @@ fn may_change(doc: &Document, scan: &Scan, primitive: &Primitive, layout: Layout
     free
 }
 
-/// Connected components with at least one image, by first primitive: primitives and images, ascending.
-fn components(scan: &Scan, candidates: &[(usize, Layout)]) -> Vec<(Vec<(usize, Layout)>, Vec<usize>)> {
+/// Primitives with their layouts, and the images that they read through them; both ascending.
+type Component = (Vec<(usize, Layout)>, Vec<usize>);
+
+/// Connected components with at least one image, by first primitive.
+fn components(scan: &Scan, candidates: &[(usize, Layout)]) -> Vec<Component> {
     let mut forest = Forest((0..candidates.len()).collect());
     let mut first_reader: BTreeMap<usize, usize> = BTreeMap::new();
     for (i, &(p, layout)) in candidates.iter().enumerate() {
