@@ -8,7 +8,7 @@ use super::Document;
 use super::json::{array, checked, index, object};
 use super::resolve::is_handled;
 use super::transform::{Layout, Transform};
-use crate::error::{Failure, Result};
+use crate::error::{Code, Failure, Result};
 use crate::texture::{Alpha, Role, Wrap};
 
 /// The document as texture sets see it.
@@ -108,6 +108,9 @@ impl Primitive {
 pub(crate) fn primitive_pointer(mesh: usize, primitive: usize) -> String {
     format!("/meshes/{mesh}/primitives/{primitive}")
 }
+
+/// Textures that one material may read: every primitive looks at those of its materials.
+const MOST_TEXTURES: usize = 256;
 
 /// Where a material names its textures, below the material.
 const SLOTS: [(&str, Role); 21] = [
@@ -220,6 +223,10 @@ fn material(value: &Value, textures: usize, i: usize) -> Result<Material> {
     if let Some(extensions) = value.get("extensions") {
         extension_uses(extensions, "/extensions", textures, &pointer, &mut uses)?;
     }
+    if uses.len() > MOST_TEXTURES {
+        let text = format!("the material reads {} textures, more than {MOST_TEXTURES}", uses.len());
+        return Err(Failure::new(Code::TooLarge, text).at(pointer));
+    }
     let anisotropy = value.pointer("/extensions/KHR_materials_anisotropy");
     let brushed = anisotropy.is_some_and(|a| {
         let strength = a.get("anisotropyStrength").and_then(Value::as_f64).unwrap_or(0.0);
@@ -271,11 +278,12 @@ fn primitive(json: &Value, value: &Value, m: usize, p: usize) -> Result<Primitiv
     let count = array(json, "materials").len();
     let default_material = index(value, "material", count, &pointer)?;
     let mut materials: Vec<usize> = default_material.into_iter().collect();
+    let mut known: BTreeSet<usize> = default_material.into_iter().collect();
     if let Some(variants) = value.pointer("/extensions/KHR_materials_variants") {
         for (i, mapping) in array(variants, "mappings").iter().enumerate() {
             let at = format!("{pointer}/extensions/KHR_materials_variants/mappings/{i}");
             if let Some(material) = index(mapping, "material", count, &at)?
-                && !materials.contains(&material)
+                && known.insert(material)
             {
                 materials.push(material);
             }

@@ -10,6 +10,7 @@ use super::json::{array, object};
 use super::scan::{Primitive, Scan, Texture, TextureUse};
 use super::transform::{Layout, Transform};
 use super::{Document, Reading, Slot, TextureSet};
+use crate::atlas::find_root;
 use crate::context::Context;
 use crate::error::{Result, Warning};
 use crate::texture::{Alpha, Direction, Header, Role, header};
@@ -194,21 +195,22 @@ type Component = (Vec<(usize, Layout)>, Vec<usize>);
 
 /// Connected components with at least one image, by first primitive.
 fn components(scan: &Scan, candidates: &[(usize, Layout)]) -> Vec<Component> {
-    let mut forest = Forest((0..candidates.len()).collect());
-    let mut first_reader: BTreeMap<usize, usize> = BTreeMap::new();
+    let mut parent: Vec<u32> = (0..candidates.len() as u32).collect();
+    let mut first_reader: BTreeMap<usize, u32> = BTreeMap::new();
     for (i, &(p, layout)) in candidates.iter().enumerate() {
         for image in images_of(scan, &scan.primitives[p], layout) {
-            let reader = *first_reader.entry(image).or_insert(i);
-            forest.join(i, reader);
+            let reader = *first_reader.entry(image).or_insert(i as u32);
+            let (a, b) = (find_root(&mut parent, i as u32), find_root(&mut parent, reader));
+            parent[a.max(b) as usize] = a.min(b);
         }
     }
-    let mut images: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    let mut images: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (&image, &reader) in &first_reader {
-        images.entry(forest.root(reader)).or_default().push(image);
+        images.entry(find_root(&mut parent, reader)).or_default().push(image);
     }
-    let mut primitives: BTreeMap<usize, Vec<(usize, Layout)>> = BTreeMap::new();
+    let mut primitives: BTreeMap<u32, Vec<(usize, Layout)>> = BTreeMap::new();
     for (i, &candidate) in candidates.iter().enumerate() {
-        primitives.entry(forest.root(i)).or_default().push(candidate);
+        primitives.entry(find_root(&mut parent, i as u32)).or_default().push(candidate);
     }
     // A root is its component's first primitive, so that the order of the map is the one wanted.
     images.into_iter().filter_map(|(root, images)| Some((primitives.remove(&root)?, images))).collect()
@@ -217,23 +219,6 @@ fn components(scan: &Scan, candidates: &[(usize, Layout)]) -> Vec<Component> {
 fn images_of(scan: &Scan, primitive: &Primitive, layout: Layout) -> Vec<usize> {
     let uses = primitive.materials.iter().flat_map(|&m| refined_uses(scan, m, layout));
     uses.filter_map(|u| scan.textures.get(u.texture)?.image).collect()
-}
-
-/// Union-find; a root is the smallest of its tree.
-struct Forest(Vec<usize>);
-
-impl Forest {
-    fn root(&mut self, mut i: usize) -> usize {
-        while self.0[i] != i {
-            self.0[i] = self.0[self.0[i]];
-            i = self.0[i];
-        }
-        i
-    }
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.0[a.max(b)] = a.min(b);
-    }
 }
 
 /// The slots of a component, or a warning and nothing where it cannot be refined.

@@ -61,7 +61,7 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
     let mut parent: Vec<u32> = (0..boxes.len() as u32).collect();
     let mut open: Vec<u32> = (0..boxes.len() as u32).collect();
     while !open.is_empty() {
-        let label: Vec<u32> = (0..boxes.len() as u32).map(|i| find(&mut parent, i)).collect();
+        let label: Vec<u32> = (0..boxes.len() as u32).map(|i| find_root(&mut parent, i)).collect();
         let by_position: Vec<u32> = tree.order.iter().map(|&i| label[i as usize]).collect();
         let common = tree.common_labels(&by_position);
         let hits: Vec<Vec<u32>> = open
@@ -87,7 +87,7 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
         let mut still = Vec::new();
         for (&i, hits) in open.iter().zip(&hits) {
             for &j in hits {
-                let (a, b) = (find(&mut parent, i), find(&mut parent, j));
+                let (a, b) = (find_root(&mut parent, i), find_root(&mut parent, j));
                 parent[a.max(b) as usize] = a.min(b);
             }
             if hits.len() == HITS {
@@ -96,11 +96,11 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
         }
         open = still;
     }
-    (0..boxes.len() as u32).map(|i| find(&mut parent, i)).collect()
+    (0..boxes.len() as u32).map(|i| find_root(&mut parent, i)).collect()
 }
 
 /// The smallest member of the set that `i` is in (union-find with path halving).
-pub(super) fn find(parent: &mut [u32], mut i: u32) -> u32 {
+pub(crate) fn find_root(parent: &mut [u32], mut i: u32) -> u32 {
     while parent[i as usize] != i {
         parent[i as usize] = parent[parent[i as usize] as usize];
         i = parent[i as usize];
@@ -128,10 +128,10 @@ mod tests {
         let charts = Charts::new(&Topology::new(&atlas));
         let mut expected: Vec<u32> = (0..300).collect();
         for (a, b) in overlapping_charts(&atlas, &charts) {
-            let (a, b) = (find(&mut expected, a.0), find(&mut expected, b.0));
+            let (a, b) = (find_root(&mut expected, a.0), find_root(&mut expected, b.0));
             expected[a.max(b) as usize] = a.min(b);
         }
-        let expected: Vec<u32> = (0..300).map(|i| find(&mut expected, i)).collect();
+        let expected: Vec<u32> = (0..300).map(|i| find_root(&mut expected, i)).collect();
         let found = clusters(&atlas, &charts, OverlapMode::Stack);
         assert_eq!(found, Clusters::from_labels(&expected));
         assert!(found.charts.len() > 20 && found.charts.len() < 280, "both kinds occur");

@@ -1,6 +1,6 @@
 //! Cutting charts open along edges.
 
-use super::clusters::find;
+use super::clusters::find_root;
 use super::topology::{HalfEdge, NONE};
 use super::{Atlas, Topology, UvId};
 
@@ -28,7 +28,7 @@ impl Atlas {
         let mut parent: Vec<u32> = (0..3 * self.face_count() as u32).collect();
         let join = |parent: &mut Vec<u32>, a: usize, b: usize| {
             if uv_of(a) == uv_of(b) && touched[uv_of(a).index()] {
-                let (a, b) = (find(parent, a as u32), find(parent, b as u32));
+                let (a, b) = (find_root(parent, a as u32), find_root(parent, b as u32));
                 parent[a.max(b) as usize] = a.min(b);
             }
         };
@@ -56,7 +56,7 @@ impl Atlas {
             if !touched[uv.index()] {
                 continue;
             }
-            let part = find(&mut parent, corner as u32) as usize;
+            let part = find_root(&mut parent, corner as u32) as usize;
             let own = *name[part].get_or_insert_with(|| {
                 if std::mem::replace(&mut kept[uv.index()], true) {
                     next.uv.push(self.uv[uv.index()]);

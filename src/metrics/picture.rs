@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use super::boundary::page_boxes;
 use super::canvas::Canvas;
 use crate::atlas::{Atlas, Charts, FaceId, Topology};
+use crate::texture::linear_to_srgb;
 
 /// Samples per pixel and axis.
 const SAMPLES: usize = 2;
@@ -134,11 +135,7 @@ fn colour(chart: usize) -> [f32; 3] {
         -1.268_438_004_6 * l + 2.609_757_401_1 * m - 0.341_319_396_5 * s,
         -0.004_196_086_3 * l - 0.703_418_614_7 * m + 1.707_614_701 * s,
     ];
-    linear.map(|v| {
-        let v: f64 = v.clamp(0.0, 1.0);
-        let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
-        (encoded * 255.0).round() as f32
-    })
+    linear.map(|v: f64| (linear_to_srgb(v.clamp(0.0, 1.0)) * 255.0).round() as f32)
 }
 
 fn encode(width: u32, height: u32, pixels: &[u8]) -> Vec<u8> {

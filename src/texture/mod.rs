@@ -17,6 +17,7 @@ mod sample;
 mod widen;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
+pub(crate) use codec::linear_to_srgb;
 pub use decode::{decode, header, is_lossy};
 pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;

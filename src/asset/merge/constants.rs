@@ -4,11 +4,11 @@ use std::collections::BTreeSet;
 
 use serde_json::{Map, Value, json};
 
-use super::{MergedMaterial, is_textured};
+use super::MergedMaterial;
 use crate::asset::json::{array, array_mut, object};
-use crate::asset::{ARRAY_BUFFER, Document, RawAccessor, accessor_count};
-use crate::error::Result;
-use crate::texture::{Format, Image, Samples, encode};
+use crate::asset::scan::{Material, Scan, scan};
+use crate::asset::{ARRAY_BUFFER, Document, Layout, RawAccessor, accessor_count};
+use crate::texture::{Format, Image, Role, Samples, encode, linear_to_srgb};
 
 /// Side of the texture that stands for factors, in texels.
 const SIDE: u32 = 4;
@@ -18,20 +18,31 @@ const SIDE: u32 = 4;
 ///
 /// # Errors
 /// `invalid_model` for a broken accessor.
-pub(super) fn fold(doc: &mut Document, uv_set: usize, report: &mut [MergedMaterial]) -> Result<BTreeSet<usize>> {
+pub(super) fn fold(
+    doc: &mut Document,
+    uv_set: usize,
+    report: &mut [MergedMaterial],
+) -> crate::error::Result<BTreeSet<usize>> {
     let mut made = BTreeSet::new();
     let materials = array(&doc.json, "materials").to_vec();
-    let textured: Vec<bool> = materials.iter().map(is_textured).collect();
-    for (m, material) in materials.iter().enumerate().filter(|(m, _)| !textured[*m]) {
+    let scan = scan(doc)?;
+    let textured = |m: &usize| scan.materials.get(*m).is_some_and(|s| !s.uses.is_empty());
+    for (m, material) in materials.iter().enumerate().filter(|(m, _)| !textured(m)) {
         let mut say = |why: &str| {
             if let Some(entry) = report.get_mut(m) {
                 entry.kept = Some(why.to_owned());
             }
         };
-        let Some(primitives) = readers(doc, m, uv_set, &mut say) else { continue };
-        let hosts = materials.iter().enumerate().filter(|(h, _)| textured[*h]);
-        let fitting = hosts.filter_map(|(h, host)| Some((h, host, fit(material, host, uv_set)?))).next();
-        let Some((h, host, constants)) = fitting else {
+        let primitives = match readers(doc, &scan, m, uv_set) {
+            Ok(primitives) => primitives,
+            Err(why) => {
+                say(why);
+                continue;
+            }
+        };
+        let hosts = materials.iter().zip(&scan.materials).filter(|(_, s)| !s.uses.is_empty());
+        let fitting = hosts.filter_map(|(host, scanned)| Some((host, fit(material, host, scanned, uv_set)?))).next();
+        let Some((host, constants)) = fitting else {
             say("no textured material differs in nothing but factors");
             continue;
         };
@@ -48,7 +59,7 @@ pub(super) fn fold(doc: &mut Document, uv_set: usize, report: &mut [MergedMateri
             }
         }
         for constant in &constants {
-            let texture = texture(doc, &materials[h], constant, &mut made)?;
+            let texture = texture(doc, host, constant, &mut made)?;
             if let Some(info) = changed.pointer_mut(constant.path) {
                 info["index"] = Value::from(texture);
             }
@@ -68,41 +79,29 @@ pub(super) fn fold(doc: &mut Document, uv_set: usize, report: &mut [MergedMateri
     Ok(made)
 }
 
-/// The primitives that a material without textures is drawn on, where all of them can be given texture coordinates.
-fn readers(doc: &Document, material: usize, uv_set: usize, say: &mut dyn FnMut(&str)) -> Option<Vec<String>> {
+/// Pointers of the primitives that a material without textures is drawn on, where all of them can be given texture coordinates;
+/// else the reason.
+fn readers(doc: &Document, scan: &Scan, material: usize, uv_set: usize) -> Result<Vec<String>, &'static str> {
+    if uv_set > 0 {
+        // glTF numbers its TEXCOORD sets from 0 on.
+        return Err("texture coordinates can be made in set 0 only");
+    }
     let mut found = Vec::new();
-    for (m, mesh) in array(&doc.json, "meshes").iter().enumerate() {
-        for (p, primitive) in array(mesh, "primitives").iter().enumerate() {
-            let reads = primitive.get("material").and_then(Value::as_u64) == Some(material as u64);
-            let extended = object(primitive, "extensions").is_some_and(|e| !e.is_empty());
-            if extended && primitive.to_string().contains("\"material\"") {
-                say("a primitive has extensions that may name materials");
-                return None;
-            }
-            if !reads {
-                continue;
-            }
-            let triangles = matches!(primitive.get("mode").map_or(Some(4), Value::as_u64), Some(4..=6));
-            let attributes = object(primitive, "attributes");
-            let has = |name: &str| attributes.is_some_and(|a| a.contains_key(name));
-            let texcoord = attributes.is_some_and(|a| a.keys().any(|k| k.starts_with("TEXCOORD_")));
-            if !triangles || !has("POSITION") || texcoord || uv_set > 0 {
-                let why = if texcoord {
-                    "its surfaces have texture coordinates of their own"
-                } else {
-                    "it draws no triangles"
-                };
-                say(why);
-                return None;
-            }
-            found.push(format!("/meshes/{m}/primitives/{p}"));
+    for primitive in scan.primitives.iter().filter(|p| p.materials.contains(&material)) {
+        if primitive.materials.len() > 1 {
+            return Err("a primitive with variants has it");
         }
+        if !primitive.is_triangles() || primitive.positions.is_none() {
+            return Err("it draws something else than triangles");
+        }
+        let pointer = primitive.pointer();
+        let attributes = doc.json.pointer(&pointer).and_then(|p| object(p, "attributes"));
+        if attributes.is_some_and(|a| a.keys().any(|k| k.starts_with("TEXCOORD_"))) {
+            return Err("its surfaces have texture coordinates of their own");
+        }
+        found.push(pointer);
     }
-    if found.is_empty() {
-        say("nothing is drawn with it");
-        return None;
-    }
-    Some(found)
+    if found.is_empty() { Err("nothing is drawn with it") } else { Ok(found) }
 }
 
 /// A texture of one colour.
@@ -118,18 +117,15 @@ struct Constant {
 }
 
 /// The textures that make `material` look as it is with all factors of `host`; none where the two differ in anything else.
-fn fit(material: &Value, host: &Value, uv_set: usize) -> Option<Vec<Constant>> {
+fn fit(material: &Value, host: &Value, scanned: &Material, uv_set: usize) -> Option<Vec<Constant>> {
     const BASE: &str = "/pbrMetallicRoughness/baseColorTexture";
     const ROUGH: &str = "/pbrMetallicRoughness/metallicRoughnessTexture";
-    let mut infos = Vec::new();
-    super::each_info(&mut host.clone(), &mut |info| infos.push(info.clone()));
-    let known: Vec<&Value> =
-        [BASE, ROUGH, "/occlusionTexture", "/emissiveTexture"].iter().filter_map(|p| host.pointer(p)).collect();
     // Neither directions nor extensions, whose neutral texels are not exact or not known; one plain layout.
-    let plain = |i: &&Value| {
-        i.get("texCoord").and_then(Value::as_u64).unwrap_or(0) == uv_set as u64 && i.get("extensions").is_none()
-    };
-    if infos.len() != known.len() || !known.iter().all(plain) || host.pointer(BASE).is_none() {
+    let plain = scanned.uses.iter().all(|u| {
+        let known = [Role::BaseColor, Role::MetallicRoughness, Role::Occlusion, Role::Emissive];
+        u.layout == Layout::plain(uv_set) && u.role.is_some_and(|r| known.contains(&r))
+    });
+    if !plain || host.pointer(BASE).is_none() {
         return None;
     }
     if rest(material) != rest(host) {
@@ -143,7 +139,8 @@ fn fit(material: &Value, host: &Value, uv_set: usize) -> Option<Vec<Constant>> {
     );
     let channels = if opaque { 3 } else { 4 };
     let colour: Option<Vec<f64>> = (0..channels).map(|c| ratio(own[c], theirs[c])).collect();
-    let colour: Vec<f64> = colour?.iter().enumerate().map(|(c, v)| if c < 3 { to_srgb(*v) } else { *v }).collect();
+    let colour: Vec<f64> =
+        colour?.iter().enumerate().map(|(c, v)| if c < 3 { linear_to_srgb(*v) } else { *v }).collect();
     out.push(constant(BASE, "baseColorFactor", &colour));
     let (metal, rough) = ("/pbrMetallicRoughness/metallicFactor", "/pbrMetallicRoughness/roughnessFactor");
     let pair = |v: &Value| [numbers(v, rough, 1)[0], numbers(v, metal, 1)[0]];
@@ -166,7 +163,7 @@ fn fit(material: &Value, host: &Value, uv_set: usize) -> Option<Vec<Constant>> {
     };
     let (own, theirs) = (glow(material), glow(host));
     if host.get("emissiveTexture").is_some() {
-        let colour: Option<Vec<f64>> = (0..3).map(|c| ratio(own[c], theirs[c]).map(to_srgb)).collect();
+        let colour: Option<Vec<f64>> = (0..3).map(|c| ratio(own[c], theirs[c]).map(linear_to_srgb)).collect();
         out.push(constant("/emissiveTexture", "emissiveFactor", &colour?));
     } else if own != theirs {
         return None;
@@ -208,11 +205,6 @@ fn ratio(own: f64, theirs: f64) -> Option<f64> {
     (0.0..=1.0).contains(&r).then_some(r)
 }
 
-/// The sRGB code, in 0..=1, of linear light.
-fn to_srgb(x: f64) -> f64 {
-    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
-}
-
 fn constant(path: &'static str, factor: &'static str, values: &[f64]) -> Constant {
     let codes: Vec<f64> = values.iter().map(|v| v * 255.0).collect();
     let rounding = codes.iter().map(|c| (c - c.round()).abs()).fold(0.0, f64::max);
@@ -220,7 +212,12 @@ fn constant(path: &'static str, factor: &'static str, values: &[f64]) -> Constan
 }
 
 /// Appends the texture of a constant, with the sampler of the host's.
-fn texture(doc: &mut Document, host: &Value, constant: &Constant, made: &mut BTreeSet<usize>) -> Result<usize> {
+fn texture(
+    doc: &mut Document,
+    host: &Value,
+    constant: &Constant,
+    made: &mut BTreeSet<usize>,
+) -> crate::error::Result<usize> {
     let samples = Samples::U8(constant.texel.repeat((SIDE * SIDE) as usize));
     let image = Image { width: SIDE, height: SIDE, channels: constant.texel.len() as u8, samples };
     let bytes = encode(&image, Format::Png, 100)?;

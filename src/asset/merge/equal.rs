@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
-use super::each_info;
 use crate::asset::Document;
-use crate::asset::json::array;
-use crate::asset::scan::{SOURCES, Scan};
+use crate::asset::json::{array, object_mut};
+use crate::asset::scan::{SOURCES, Scan, scan};
 use crate::error::Result;
 
 /// Textures name the first of images with equal bytes.
@@ -20,17 +19,23 @@ pub(super) fn images(doc: &mut Document, scan: &Scan) {
             same[i] = *first.entry(Sha256::digest(bytes).into()).or_insert(i);
         }
     }
-    let one = |source: &mut Value| {
-        let known = source.as_u64().and_then(|s| same.get(s as usize).map(|n| (*n as u64, s)));
-        if let Some((new, _)) = known.filter(|(new, old)| new != old) {
-            *source = Value::from(new);
-        }
-    };
     for texture in doc.json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
-        texture.get_mut("source").map(one);
-        for name in SOURCES {
-            texture.pointer_mut(&format!("/extensions/{name}/source")).map(one);
+        if let Some(source) = texture.get_mut("source") {
+            renumber(source, &same);
         }
+        for name in SOURCES {
+            if let Some(source) = texture.pointer_mut(&format!("/extensions/{name}/source")) {
+                renumber(source, &same);
+            }
+        }
+    }
+}
+
+/// Puts the new number in the place of an index; one that stays is left as it is written.
+fn renumber(index: &mut Value, new: &[usize]) {
+    let found = index.as_u64().and_then(|i| new.get(usize::try_from(i).ok()?)).map(|n| *n as u64);
+    if let Some(number) = found.filter(|n| index.as_u64() != Some(*n)) {
+        *index = Value::from(number);
     }
 }
 
@@ -38,11 +43,8 @@ pub(super) fn images(doc: &mut Document, scan: &Scan) {
 pub(super) fn samplers(doc: &mut Document) {
     let (same, _) = firsts(array(&doc.json, "samplers"));
     for texture in doc.json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
-        if let Some(sampler) = texture.get_mut("sampler")
-            && let Some(first) = sampler.as_u64().and_then(|s| same.get(usize::try_from(s).ok()?))
-            && sampler.as_u64() != Some(*first as u64)
-        {
-            *sampler = Value::from(*first);
+        if let Some(sampler) = texture.get_mut("sampler") {
+            renumber(sampler, &same);
         }
     }
 }
@@ -50,22 +52,21 @@ pub(super) fn samplers(doc: &mut Document) {
 /// Materials name the first of equal textures (names aside); the others are taken out.
 ///
 /// # Errors
-/// None so far.
+/// `invalid_model` for a broken texture info.
 pub(super) fn textures(doc: &mut Document) -> Result<()> {
+    let scan = scan(doc)?;
     let (same, first) = firsts(array(&doc.json, "textures"));
     let mut number = vec![None; same.len()];
     for (n, texture) in first.iter().enumerate() {
         number[*texture] = Some(n as u64);
     }
-    for material in doc.json.get_mut("materials").and_then(Value::as_array_mut).into_iter().flatten() {
-        each_info(material, &mut |info| {
-            let texture = info["index"].as_u64().and_then(|t| same.get(usize::try_from(t).ok()?));
-            if let Some(new) = texture.and_then(|t| number[*t])
-                && info["index"].as_u64() != Some(new)
-            {
-                info["index"] = Value::from(new);
+    for (m, material) in scan.materials.iter().enumerate() {
+        for used in &material.uses {
+            let new = same.get(used.texture).and_then(|t| number[*t]);
+            if let Some(new) = new.filter(|n| *n != used.texture as u64) {
+                object_mut(&mut doc.json, &format!("/materials/{m}{}", used.path))?.insert("index".into(), new.into());
             }
-        });
+        }
     }
     if let Some(all) = doc.json.get_mut("textures").and_then(Value::as_array_mut) {
         let mut keep = number.iter();
@@ -76,27 +77,22 @@ pub(super) fn textures(doc: &mut Document) -> Result<()> {
 
 /// Primitives name the first of equal materials (names aside). Gives the material that each became; all of
 /// them stay in the list, so that their numbers stay.
-///
-/// # Errors
-/// None so far.
-pub(super) fn materials(doc: &mut Document) -> Result<Vec<usize>> {
+pub(super) fn materials(doc: &mut Document) -> Vec<usize> {
     let (same, _) = firsts(array(&doc.json, "materials"));
-    let one = |value: &mut Value| {
-        let new = value.as_u64().and_then(|m| same.get(usize::try_from(m).ok()?)).map(|m| *m as u64);
-        if let Some(new) = new.filter(|n| value.as_u64() != Some(*n)) {
-            *value = Value::from(new);
-        }
-    };
     for mesh in doc.json.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten() {
         for primitive in mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten() {
-            primitive.get_mut("material").map(one);
+            if let Some(m) = primitive.get_mut("material") {
+                renumber(m, &same);
+            }
             let mappings = primitive.pointer_mut("/extensions/KHR_materials_variants/mappings");
             for mapping in mappings.and_then(Value::as_array_mut).into_iter().flatten() {
-                mapping.get_mut("material").map(one);
+                if let Some(m) = mapping.get_mut("material") {
+                    renumber(m, &same);
+                }
             }
         }
     }
-    Ok(same)
+    same
 }
 
 /// By object: the first that is equal to it; and those that are such a first.

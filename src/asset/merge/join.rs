@@ -1,12 +1,15 @@
 //! Primitives put together: their attributes one after the other, their indices counted on.
 
+use std::collections::BTreeMap;
+
 use glam::{DMat3, DMat4, DVec3};
 use serde_json::{Map, Value};
 
+use super::shown;
 use crate::asset::json::{array, checked, object};
 use crate::asset::{
     ARRAY_BUFFER, ComponentType, Document, ELEMENT_ARRAY_BUFFER, RawAccessor, accessor_count, accessor_shape,
-    raw_elements, read_indices, read_vec3, read_vec4,
+    raw_elements, read_indices, read_vec2, read_vec3, read_vec4,
 };
 use crate::error::{Failure, Result};
 
@@ -24,6 +27,58 @@ pub(super) fn triangles(doc: &Document, primitive: &Value) -> Result<u64> {
         Some(5 | 6) => corners.saturating_sub(2),
         _ => 0,
     })
+}
+
+/// What the nodes draw: the number of triangles, and a sum over them of the texture coordinates of their corners that does not
+/// depend on the order of triangles or corners. Joining changes neither.
+///
+/// # Errors
+/// `invalid_model` for a broken accessor.
+pub(super) fn drawn(doc: &Document) -> Result<(u64, u64)> {
+    let mut uses: BTreeMap<usize, u64> = BTreeMap::new();
+    shown(&doc.json).for_each(|m| *uses.entry(m).or_default() += 1);
+    let (mut count, mut sum) = (0u64, 0u64);
+    for (mesh, times) in uses {
+        for primitive in array(doc.json.pointer(&format!("/meshes/{mesh}")).unwrap_or(&Value::Null), "primitives") {
+            count = count.saturating_add(times.saturating_mul(triangles(doc, primitive)?));
+            sum = sum.wrapping_add(times.wrapping_mul(read_at_corners(doc, primitive)?));
+        }
+    }
+    Ok((count, sum))
+}
+
+/// The sum of [`drawn`] for one list of triangles; 0 for other primitives, which are never joined.
+fn read_at_corners(doc: &Document, primitive: &Value) -> Result<u64> {
+    let mut sum = 0u64;
+    if primitive.get("mode").is_some_and(|m| m.as_u64() != Some(4)) {
+        return Ok(sum);
+    }
+    let order = primitive.get("indices").map(|i| read_indices(doc, index(doc, i)?)).transpose()?;
+    for (name, accessor) in object(primitive, "attributes").into_iter().flatten() {
+        let Some(set) = name.strip_prefix("TEXCOORD_").and_then(|n| n.parse::<u64>().ok()) else { continue };
+        let uvs = read_vec2(doc, index(doc, accessor)?)?;
+        let corner = |v: usize| {
+            let [x, y] = uvs.get(v).copied().unwrap_or_default().map(|c| u64::from(c.to_bits()));
+            mixed(x | y << 32)
+        };
+        let mut add = |t: [usize; 3]| {
+            let corners = t.map(corner).iter().fold(set, |all, c| all.wrapping_add(*c));
+            sum = sum.wrapping_add(mixed(corners));
+        };
+        match &order {
+            Some(order) => order.as_chunks::<3>().0.iter().for_each(|t| add(t.map(|v| v as usize))),
+            None => (0..uvs.len() / 3).for_each(|t| add([3 * t, 3 * t + 1, 3 * t + 2])),
+        }
+    }
+    Ok(sum)
+}
+
+/// Bits mixed so that sums of them do not agree by chance (splitmix64).
+fn mixed(x: u64) -> u64 {
+    let mut z = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
 }
 
 /// What must be equal for primitives to be put together: material, attributes with their formats, and nothing beyond. None for

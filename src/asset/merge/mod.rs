@@ -114,23 +114,23 @@ pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
 /// Makes what became equal in the written document one.
 ///
 /// # Errors
-/// `internal` where triangles would be lost; `invalid_model` for a broken document.
+/// `internal` where triangles or what they read would be lost; `invalid_model` for a broken document.
 pub fn finish(doc: &mut Document, merge: Merge) -> Result<Merged> {
     let Merge(mut merged) = merge;
-    let triangles = drawn_triangles(doc)?;
+    let drawn = join::drawn(doc)?;
     equal::samplers(doc);
     equal::textures(doc)?;
     let read = named_by_textures(doc);
     let gone: Vec<usize> = doc.merging.spare.difference(&read).copied().collect();
     drop_images(doc, &gone);
-    let now = equal::materials(doc)?;
+    let now = equal::materials(doc);
     for material in &mut merged.materials {
         material.now = now.get(material.material as usize).map_or(material.material, |m| *m as u64);
     }
     draws::within_meshes(doc)?;
     draws::across_nodes(doc)?;
-    if drawn_triangles(doc)? != triangles {
-        return Err(Failure::internal("joining draw calls lost triangles"));
+    if join::drawn(doc)? != drawn {
+        return Err(Failure::internal("joining draw calls lost triangles or changed what they read"));
     }
     let scan = scan(doc)?;
     merged.draw_calls.after = draw_calls(&doc.json);
@@ -162,36 +162,4 @@ fn shown(json: &Value) -> impl Iterator<Item = usize> {
 fn draw_calls(json: &Value) -> u64 {
     let meshes = array(json, "meshes");
     shown(json).filter_map(|m| Some(array(meshes.get(m)?, "primitives").len() as u64)).sum()
-}
-
-/// Triangles of all nodes' meshes, by the primitives' declared counts.
-fn drawn_triangles(doc: &Document) -> Result<u64> {
-    let mut sum = 0u64;
-    for mesh in shown(&doc.json) {
-        for primitive in array(doc.json.pointer(&format!("/meshes/{mesh}")).unwrap_or(&Value::Null), "primitives") {
-            sum = sum.saturating_add(join::triangles(doc, primitive)?);
-        }
-    }
-    Ok(sum)
-}
-
-/// Calls `f` with every texture info of a material, those in extensions too.
-fn each_info(material: &mut Value, f: &mut impl FnMut(&mut Value)) {
-    let Some(map) = material.as_object_mut() else { return };
-    for (key, child) in map {
-        if key == "extras" {
-            continue;
-        }
-        if key.ends_with("exture") && child.get("index").is_some_and(Value::is_u64) {
-            f(child);
-        }
-        each_info(child, f);
-    }
-}
-
-/// Whether a material reads any texture.
-fn is_textured(material: &Value) -> bool {
-    let mut found = false;
-    each_info(&mut material.clone(), &mut |_| found = true);
-    found
 }

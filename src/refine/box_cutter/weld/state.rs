@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::atlas::forest::Forest;
 use crate::atlas::rigid::Rigid;
 use crate::atlas::seams::{RigidSeam, linked_corners};
-use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, NONE, Topology, UvId};
+use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, NONE, Topology, UvId, find_root};
 
 /// An atlas under welding.
 #[derive(Clone)]
@@ -240,11 +240,11 @@ impl State {
         if !join.also.is_empty() {
             let mut name: Vec<u32> = (0..self.atlas.uv.len() as u32).collect();
             for (gone, kept) in &join.also {
-                let (a, b) = (root(&mut name, gone.0), root(&mut name, kept.0));
+                let (a, b) = (find_root(&mut name, gone.0), find_root(&mut name, kept.0));
                 name[a.max(b) as usize] = a.min(b);
             }
             for face in self.faces[keep].iter().chain(&faces) {
-                self.atlas.corners[face.index()].iter_mut().for_each(|c| *c = UvId(root(&mut name, c.0)));
+                self.atlas.corners[face.index()].iter_mut().for_each(|c| *c = UvId(find_root(&mut name, c.0)));
             }
         }
         for (h, twin) in join.edges {
@@ -281,7 +281,7 @@ impl State {
             let ends = linked_corners(&self.atlas, h, twin);
             if ends.iter().all(|&(a, b)| self.atlas.uv[a.index()] == self.atlas.uv[b.index()]) {
                 for (a, b) in ends {
-                    let (a, b) = (root(&mut name, a.0), root(&mut name, b.0));
+                    let (a, b) = (find_root(&mut name, a.0), find_root(&mut name, b.0));
                     name[a.max(b) as usize] = a.min(b);
                 }
                 closed.push((h, twin));
@@ -293,7 +293,7 @@ impl State {
         }
         if !closed.is_empty() {
             self.changed = true;
-            self.atlas.corners.iter_mut().flatten().for_each(|c| *c = UvId(root(&mut name, c.0)));
+            self.atlas.corners.iter_mut().flatten().for_each(|c| *c = UvId(find_root(&mut name, c.0)));
         }
     }
 }
@@ -307,12 +307,4 @@ struct Join {
     also: Vec<(UvId, UvId)>,
     /// Edges that are closed.
     edges: Vec<(HalfEdge, HalfEdge)>,
-}
-
-fn root(name: &mut [u32], mut i: u32) -> u32 {
-    while name[i as usize] != i {
-        name[i as usize] = name[name[i as usize] as usize];
-        i = name[i as usize];
-    }
-    i
 }
