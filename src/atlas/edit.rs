@@ -1,4 +1,6 @@
-//! Edits that keep provenance: so far, moving charts.
+//! Edits that keep provenance: moving charts, and giving each its own UV vertices.
+
+use std::collections::BTreeMap;
 
 use glam::{DMat2, DVec2};
 
@@ -38,5 +40,24 @@ impl Atlas {
             }
         }
         next
+    }
+
+    /// UV vertices at which two charts touch become one for each.
+    pub(crate) fn separate_uvs(&mut self, charts: &Charts) {
+        let mut first = vec![u32::MAX; self.uv.len()];
+        let mut copies: BTreeMap<(UvId, u32), UvId> = BTreeMap::new();
+        for (corners, chart) in self.corners.iter_mut().zip(&charts.of_face) {
+            for corner in corners.iter_mut() {
+                let home = &mut first[corner.index()];
+                if *home == u32::MAX {
+                    *home = chart.0;
+                } else if *home != chart.0 {
+                    *corner = *copies.entry((*corner, chart.0)).or_insert_with(|| {
+                        self.uv.push(self.uv[corner.index()]);
+                        UvId::new(self.uv.len() - 1)
+                    });
+                }
+            }
+        }
     }
 }

@@ -23,6 +23,15 @@ impl Rigid {
         DVec2::new(self.cos * d.x - self.sin * d.y, self.sin * d.x + self.cos * d.y)
     }
 
+    /// This motion after `first`.
+    pub(crate) fn after(&self, first: &Rigid) -> Rigid {
+        Rigid {
+            cos: self.cos * first.cos - self.sin * first.sin,
+            sin: self.sin * first.cos + self.cos * first.sin,
+            translate: self.apply(first.translate),
+        }
+    }
+
     /// The motion back.
     pub(crate) fn inverse(&self) -> Rigid {
         let back = Rigid { cos: self.cos, sin: -self.sin, translate: DVec2::ZERO };

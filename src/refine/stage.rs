@@ -24,6 +24,8 @@ pub struct Frame {
     pub is_virtual: bool,
     /// Whether any primitive is skinned or morphed.
     pub animated: bool,
+    /// Whether any image holds directions, which mirroring turns round.
+    pub directions: bool,
     /// Whether several texture sets share the Atlas: that is a gain in itself.
     pub joined: bool,
 }
@@ -50,6 +52,7 @@ impl Frame {
             mipmaps: slots().any(|s| s.mipmaps),
             is_virtual: set.slots.is_empty(),
             animated: set.primitives.iter().any(|p| p.animated),
+            directions: set.slots.iter().any(|s| s.role.is_direction()),
             joined: false,
         }
     }

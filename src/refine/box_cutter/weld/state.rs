@@ -47,22 +47,7 @@ impl State {
         let charts = Charts::new(&topology);
         let touchable: Vec<bool> = charts.ids().map(touchable).collect();
         let mut own = atlas.clone();
-        // UV vertices at which two charts touch become one for each.
-        let mut first = vec![u32::MAX; atlas.uv.len()];
-        let mut copies: BTreeMap<(UvId, u32), UvId> = BTreeMap::new();
-        for (corners, chart) in own.corners.iter_mut().zip(&charts.of_face) {
-            for corner in corners.iter_mut() {
-                let home = &mut first[corner.index()];
-                if *home == u32::MAX {
-                    *home = chart.0;
-                } else if *home != chart.0 {
-                    *corner = *copies.entry((*corner, chart.0)).or_insert_with(|| {
-                        own.uv.push(own.uv[corner.index()]);
-                        UvId::new(own.uv.len() - 1)
-                    });
-                }
-            }
-        }
+        own.separate_uvs(&charts);
         State {
             tolerance,
             welds: 0,

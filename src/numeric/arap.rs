@@ -1,0 +1,197 @@
+//! As-rigid-as-possible parameterization (Liu et al. 2008) of a patch of triangles, some of whose vertices stay where they are.
+
+use glam::DVec2;
+
+use super::cholesky::{Cholesky, Symmetric};
+use super::energy::jacobian;
+
+/// Weight of the edges of triangles without a shape: they follow the others.
+const LOOSE: f64 = 1e-4;
+
+/// A patch: triangles over vertices 0..n, and the shapes that they should have.
+#[derive(Debug)]
+pub(crate) struct Patch<'a> {
+    /// Vertices of each triangle.
+    pub triangles: &'a [[u32; 3]],
+    /// Target shape of each triangle; where it lies does not matter.
+    pub rest: &'a [[DVec2; 3]],
+    /// By vertex: whether it may move. Where none of a connected part is held, its first vertex is.
+    pub free: &'a [bool],
+}
+
+/// The patch's equations, factored: valid as long as the same vertices are free.
+pub(crate) struct Arap<'a> {
+    patch: &'a Patch<'a>,
+    /// By triangle and edge (k to k + 1): half the cotangent of the angle across.
+    weights: Vec<[f64; 3]>,
+    /// Row by vertex, for those that are free.
+    row: Vec<Option<u32>>,
+    factor: Cholesky,
+}
+
+impl<'a> Arap<'a> {
+    /// Factors the patch's Laplacian; `None` where it is not positive definite in floating point.
+    pub(crate) fn new(patch: &'a Patch<'a>) -> Option<Self> {
+        let weights: Vec<[f64; 3]> = patch.rest.iter().map(weights).collect();
+        let held = held(patch);
+        let mut row = vec![None; patch.free.len()];
+        let mut rows = 0;
+        for (row, held) in row.iter_mut().zip(&held) {
+            if !held {
+                *row = Some(rows as u32);
+                rows += 1;
+            }
+        }
+        let mut matrix = Symmetric::new(rows);
+        for (t, w) in patch.triangles.iter().zip(&weights) {
+            for k in 0..3 {
+                let (i, j) = (row[t[k] as usize], row[t[(k + 1) % 3] as usize]);
+                for end in [i, j].into_iter().flatten() {
+                    matrix.add_diagonal(end as usize, w[k]);
+                }
+                if let (Some(i), Some(j)) = (i, j)
+                    && i != j
+                {
+                    matrix.add(i as usize, j as usize, -w[k]);
+                }
+            }
+        }
+        let factor = Cholesky::new(&matrix)?;
+        Some(Arap { patch, weights, row, factor })
+    }
+
+    /// Moves the free vertices, at most so many rounds of rotations and positions; ends when no vertex moves by more than
+    /// `tolerance`.
+    pub(crate) fn relax(&self, positions: &mut [DVec2], rounds: usize, tolerance: f64) {
+        let rows = self.row.iter().flatten().count();
+        let mut side = vec![DVec2::ZERO; rows];
+        for _ in 0..rounds {
+            side.fill(DVec2::ZERO);
+            for ((t, rest), w) in self.patch.triangles.iter().zip(self.patch.rest).zip(&self.weights) {
+                let edge = |p: &[DVec2; 3], k: usize| p[k] - p[(k + 1) % 3];
+                let now = t.map(|v| positions[v as usize]);
+                // The rotation nearest to the map from rest to now: its cosine and sine up to a factor.
+                let mut turn = DVec2::ZERO;
+                for k in 0..3 {
+                    let (r, e) = (edge(rest, k), edge(&now, k));
+                    turn += w[k] * DVec2::new(r.dot(e), r.perp_dot(e));
+                }
+                let turn = turn.try_normalize().unwrap_or(DVec2::X);
+                for k in 0..3 {
+                    let wanted = w[k] * turn.rotate(edge(rest, k));
+                    let ends = [t[k] as usize, t[(k + 1) % 3] as usize];
+                    for (own, other, sign) in [(ends[0], ends[1], 1.0), (ends[1], ends[0], -1.0)] {
+                        if let Some(row) = self.row[own] {
+                            let known = if self.row[other].is_none() { w[k] * positions[other] } else { DVec2::ZERO };
+                            side[row as usize] += sign * wanted + known;
+                        }
+                    }
+                }
+            }
+            self.factor.solve(&mut side);
+            let mut moved: f64 = 0.0;
+            for (position, row) in positions.iter_mut().zip(&self.row) {
+                if let Some(row) = row {
+                    moved = moved.max(position.distance_squared(side[*row as usize]));
+                    *position = side[*row as usize];
+                }
+            }
+            if !(moved > tolerance * tolerance) {
+                break;
+            }
+        }
+    }
+}
+
+/// Half the cotangents of the angles across the three edges.
+fn weights(rest: &[DVec2; 3]) -> [f64; 3] {
+    if jacobian(rest, rest).is_none() {
+        return [LOOSE; 3];
+    }
+    [0, 1, 2].map(|k| {
+        let (a, b) = (rest[k] - rest[(k + 2) % 3], rest[(k + 1) % 3] - rest[(k + 2) % 3]);
+        0.5 * a.dot(b) / a.perp_dot(b).abs()
+    })
+}
+
+/// Vertices that stay: those that must, and one of each connected part that would have none.
+fn held(patch: &Patch<'_>) -> Vec<bool> {
+    let mut parent: Vec<u32> = (0..patch.free.len() as u32).collect();
+    for t in patch.triangles {
+        for v in [t[1], t[2]] {
+            let (a, b) = (crate::atlas::find_root(&mut parent, t[0]), crate::atlas::find_root(&mut parent, v));
+            parent[a.max(b) as usize] = a.min(b);
+        }
+    }
+    let mut held: Vec<bool> = patch.free.iter().map(|f| !f).collect();
+    let mut has = vec![false; held.len()];
+    for v in 0..held.len() {
+        let root = crate::atlas::find_root(&mut parent, v as u32) as usize;
+        has[root] |= held[v];
+    }
+    for v in 0..held.len() {
+        let root = crate::atlas::find_root(&mut parent, v as u32) as usize;
+        held[v] |= !std::mem::replace(&mut has[root], true);
+    }
+    held
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::atlas::testing::{Rng, sheet};
+    use crate::numeric::energy::arap;
+
+    fn grid(n: usize) -> (Vec<[u32; 3]>, Vec<DVec2>) {
+        let atlas = sheet(n, n, DVec2::ZERO);
+        (atlas.corners.iter().map(|c| c.map(|u| u.0)).collect(), atlas.uv)
+    }
+
+    fn energy(triangles: &[[u32; 3]], rest: &[[DVec2; 3]], at: &[DVec2]) -> f64 {
+        let one = |(t, r): (&[u32; 3], &[DVec2; 3])| {
+            jacobian(r, &t.map(|v| at[v as usize])).map_or(0.0, |j| arap(&j)) * 0.5
+        };
+        triangles.iter().zip(rest).map(one).sum()
+    }
+
+    #[test]
+    fn a_crumpled_patch_finds_its_shape_again_wherever_it_is_held() {
+        let (triangles, points) = grid(6);
+        let rest: Vec<[DVec2; 3]> = triangles.iter().map(|t| t.map(|v| points[v as usize])).collect();
+        let turn = |p: DVec2| DVec2::from_angle(0.8).rotate(p) + DVec2::new(30.0, -4.0);
+        let mut rng = Rng(7);
+        // Held along one side, at two vertices, and nowhere.
+        for fixed in [7, 2, 0] {
+            let free: Vec<bool> = (0..points.len()).map(|v| v >= fixed).collect();
+            let mut at: Vec<DVec2> = points
+                .iter()
+                .zip(&free)
+                .map(|(p, free)| turn(*p) + if *free { rng.point(0.5) - 0.25 } else { DVec2::ZERO })
+                .collect();
+            let start = energy(&triangles, &rest, &at);
+            let patch = Patch { triangles: &triangles, rest: &rest, free: &free };
+            Arap::new(&patch).expect("positive definite").relax(&mut at, 400, 1e-12);
+            let end = energy(&triangles, &rest, &at);
+            assert!(end < 1e-9 && start > 0.1, "{fixed}: {start} -> {end}");
+        }
+    }
+
+    #[test]
+    fn no_round_makes_the_energy_larger_and_held_vertices_stay() {
+        let (triangles, points) = grid(5);
+        let rest: Vec<[DVec2; 3]> = triangles.iter().map(|t| t.map(|v| points[v as usize])).collect();
+        let free: Vec<bool> = points.iter().map(|p| p.x > 0.5 && p.x < 4.5).collect();
+        let start: Vec<DVec2> = points.iter().map(|p| if p.x > 4.5 { *p + DVec2::new(1.5, 2.0) } else { *p }).collect();
+        let patch = Patch { triangles: &triangles, rest: &rest, free: &free };
+        let system = Arap::new(&patch).expect("positive definite");
+        let mut at = start.clone();
+        let mut last = f64::INFINITY;
+        for _ in 0..30 {
+            system.relax(&mut at, 1, 0.0);
+            let now = energy(&triangles, &rest, &at);
+            assert!(now <= last * (1.0 + 1e-12), "{last} -> {now}");
+            last = now;
+        }
+        assert!(at.iter().zip(&start).zip(&free).all(|((a, s), free)| *free || a == s));
+    }
+}

@@ -1,0 +1,7 @@
+//! Energies of maps of triangles and the solvers that make them small.
+//!
+//! Nothing here knows an Atlas: vertices are indices, triangles are triples of them, positions are points of the plane.
+
+pub(crate) mod arap;
+pub(crate) mod cholesky;
+pub(crate) mod energy;

@@ -1,0 +1,572 @@
+//! Performing a merge operation (section 4.2), without changing anything: what would become of the mesh, or why not.
+
+use std::collections::BinaryHeap;
+
+use glam::DVec2;
+
+use super::mesh::Mesh;
+use super::operation::{Kind, Operation, sides};
+use super::params::{Defrag, Search};
+use crate::atlas::bvh::Bounds;
+use crate::atlas::rigid::Rigid;
+use crate::atlas::{find_root, penetration, triangles_overlap};
+use crate::numeric::arap::{Arap, Patch};
+use crate::numeric::energy::{jacobian, singular_values};
+
+mod collide;
+
+/// Vertices that move by less, in texels, leave their texels as they are: uploads hold float32.
+pub(super) const STILL: f64 = 4e-4;
+/// Rounds of rotations and positions.
+const ROUNDS: usize = 40;
+/// A round is the last when nothing moves by more, relative to the largest displacement.
+const SETTLED: f64 = 2e-3;
+/// Times that vertices are held where the border crossed, and the rest is tried again.
+const AGAIN: usize = 3;
+/// Faces that one merge may deform.
+const WIDEST: usize = 20_000;
+/// Singular values of a face that is as good as lost.
+const LOST: f64 = 0.02;
+/// How much more a chart may be deformed that is too small to matter.
+const ISLAND: f64 = 20.0;
+
+/// Why an operation failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Reason {
+    /// The rest of the borders collide after alignment.
+    Collision,
+    /// Triangles overlap after the shapes were optimised.
+    Overlap,
+    /// A triangle turned over or lost its area.
+    Fold,
+    /// The deformed triangles are deformed too much.
+    Local,
+    /// The whole atlas would be.
+    Global,
+    /// The chart would not be flat: a handle, or no border left.
+    Topology,
+    /// Too much of the surface would be resampled.
+    Resampled,
+    /// Nothing that can be solved.
+    Singular,
+}
+
+impl Reason {
+    /// The name in reports.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Reason::Collision => "collision",
+            Reason::Overlap => "overlap",
+            Reason::Fold => "fold",
+            Reason::Local => "local_energy",
+            Reason::Global => "global_energy",
+            Reason::Topology => "topology",
+            Reason::Resampled => "resampled",
+            Reason::Singular => "singular",
+        }
+    }
+}
+
+/// What a successful operation does.
+#[derive(Debug, Clone)]
+pub(super) struct Merge {
+    /// Pairs of half edges that become one: of the kept chart, and of the other.
+    pub zip: Vec<(u32, u32)>,
+    /// UV vertices that become another: (gone, stays).
+    pub fuse: Vec<(u32, u32)>,
+    /// New places, in the coordinates of the kept chart.
+    pub places: Vec<(u32, DVec2)>,
+    /// Faces whose corners move (by more than the chart does), with their energy.
+    pub band: Vec<(u32, f64)>,
+    /// Those of them that are deformed.
+    pub deformed: Vec<u32>,
+    /// What the energy grows by.
+    pub energy: f64,
+}
+
+/// The outcome, and where it depends on the kept chart: as long as nothing changes there, nor the moved chart, it stands.
+#[derive(Debug, Clone)]
+pub(super) struct Attempt {
+    /// The merge, or why there is none.
+    pub outcome: Result<Merge, Reason>,
+    /// In the coordinates of the kept chart.
+    pub region: Bounds,
+    /// Faces looked at.
+    pub work: u64,
+}
+
+/// Who gives way where a seam does not fit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Target {
+    /// Both: vertices meet at their mean (section 4.2.1).
+    Mean,
+    /// The moved chart: the other stays as it is.
+    Kept,
+}
+
+/// Memory that attempts use again: nothing in it outlives one.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    epoch: u32,
+    /// (epoch, node) by UV vertex.
+    node: Vec<(u32, u32)>,
+    /// (epoch, index in the band) by face.
+    band: Vec<(u32, u32)>,
+}
+
+impl Scratch {
+    fn begin(&mut self, mesh: &Mesh) {
+        self.epoch += 1;
+        self.node.resize(mesh.uv.len(), (0, 0));
+        self.band.resize(mesh.corners.len(), (0, 0));
+    }
+
+    fn node(&self, vertex: u32) -> Option<u32> {
+        let (epoch, node) = self.node[vertex as usize];
+        (epoch == self.epoch).then_some(node)
+    }
+
+    fn in_band(&self, face: u32) -> Option<u32> {
+        let (epoch, index) = self.band[face as usize];
+        (epoch == self.epoch).then_some(index)
+    }
+}
+
+/// Tries the operation.
+pub(super) fn attempt(mesh: &Mesh, op: &Operation, params: &Defrag, scratch: &mut Scratch) -> Attempt {
+    let mut work = 0;
+    let mut region = Bounds::EMPTY;
+    let mut last = Reason::Singular;
+    // A chart that keeps its texels is left alone where the other, which is resampled anyway, can do the fitting.
+    let gentle = params.search == Search::Partial && op.kind != Kind::Within && !op.whole_texels;
+    let wide = params.search == Search::Partial;
+    let ways: &[(Target, bool)] = match (gentle, wide) {
+        (true, true) => &[(Target::Kept, false), (Target::Mean, false), (Target::Kept, true), (Target::Mean, true)],
+        (false, true) => &[(Target::Mean, false), (Target::Mean, true)],
+        _ => &[(Target::Mean, false)],
+    };
+    for &(target, wide) in ways {
+        scratch.begin(mesh);
+        let mut trial = Trial { mesh, op, params, scratch, target, wide, region, work, nodes: Vec::new(), band: Vec::new() };
+        let outcome = trial.run();
+        (region, work) = (trial.region, trial.work);
+        match outcome {
+            Ok(merge) => return Attempt { outcome: Ok(merge), region, work },
+            // What collides without any deformation does so whoever gives way.
+            Err(Reason::Collision) => return Attempt { outcome: Err(Reason::Collision), region, work },
+            Err(reason) => last = reason,
+        }
+    }
+    Attempt { outcome: Err(last), region, work }
+}
+
+/// One or several UV vertices that are, or become, one.
+struct Node {
+    vertices: Vec<u32>,
+    /// Where it is, in the coordinates of the kept chart.
+    at: DVec2,
+    /// How much further deformation spreads from it.
+    budget: f64,
+    /// May move in the optimisation.
+    free: bool,
+    /// Fused by the operation.
+    seam: bool,
+}
+
+struct Trial<'a> {
+    mesh: &'a Mesh,
+    op: &'a Operation,
+    params: &'a Defrag,
+    scratch: &'a mut Scratch,
+    target: Target,
+    /// Deformation spreads further than published.
+    wide: bool,
+    region: Bounds,
+    work: u64,
+    nodes: Vec<Node>,
+    /// Faces with a corner that moves.
+    band: Vec<u32>,
+}
+
+impl Trial<'_> {
+    fn within(&self) -> bool {
+        self.op.kept == self.op.moved
+    }
+
+    /// Whether a face is of the chart that comes.
+    fn comes(&self, face: u32) -> bool {
+        !self.within() && self.mesh.chart_of[face as usize] == self.op.moved
+    }
+
+    /// Where a vertex is once the charts are aligned.
+    fn aligned(&self, vertex: u32) -> DVec2 {
+        let at = self.mesh.uv[vertex as usize];
+        match self.mesh.star[vertex as usize].first() {
+            Some(&f) if self.comes(f) => self.op.motion.apply(at),
+            _ => at,
+        }
+    }
+
+    /// Where a face is then.
+    fn aligned_triangle(&self, face: u32) -> [DVec2; 3] {
+        let motion = if self.comes(face) { self.op.motion } else { Rigid::IDENTITY };
+        self.mesh.triangle(face).map(|p| if motion == Rigid::IDENTITY { p } else { motion.apply(p) })
+    }
+
+    /// Where a face of the band comes to lie.
+    fn placed_triangle(&self, face: u32) -> [DVec2; 3] {
+        self.mesh.corners[face as usize].map(|u| match self.scratch.node(u) {
+            Some(node) => self.nodes[node as usize].at,
+            None => self.aligned(u),
+        })
+    }
+
+    fn run(&mut self) -> Result<Merge, Reason> {
+        let zip: Vec<(u32, u32)> = self.op.edges.iter().map(|&h| sides(self.mesh, h, self.op.kept)).collect();
+        let displaced = self.fuse(&zip);
+        self.spread();
+        self.gather()?;
+        self.work += self.band.len() as u64;
+        for &f in &self.band {
+            let t = self.aligned_triangle(f);
+            self.region = self.region.union(Bounds::of(&t)).union(Bounds::of(&self.placed_triangle(f)));
+        }
+        if !self.within() && self.border_collides() {
+            return Err(Reason::Collision);
+        }
+        let start: Vec<DVec2> = self.nodes.iter().map(|n| n.at).collect();
+        for again in 0.. {
+            if displaced > STILL {
+                self.optimise(displaced)?;
+            }
+            for &f in &self.band {
+                self.region = self.region.union(Bounds::of(&self.placed_triangle(f)));
+            }
+            self.folds()?;
+            self.local_energy()?;
+            let crossing = self.overlapping();
+            if crossing.is_empty() {
+                break;
+            }
+            // What crosses is held where it was before the optimisation, and the rest is fitted to it.
+            let mut held = false;
+            for f in crossing {
+                for u in self.mesh.corners[f as usize] {
+                    if let Some(n) = self.scratch.node(u) {
+                        held |= std::mem::replace(&mut self.nodes[n as usize].free, false);
+                    }
+                }
+            }
+            if !held || again == AGAIN {
+                if std::env::var("DBG").is_ok() { self.debug(displaced, again); }
+                return Err(Reason::Overlap);
+            }
+            self.nodes.iter_mut().zip(&start).for_each(|(n, at)| n.at = *at);
+        }
+        Ok(self.merge(zip))
+    }
+
+    /// Makes nodes of the vertices that become one, at their common place; gives the largest displacement.
+    fn fuse(&mut self, zip: &[(u32, u32)]) -> f64 {
+        let mesh = self.mesh;
+        let pairs: Vec<(u32, u32)> = zip
+            .iter()
+            .flat_map(|&(h, t)| [(mesh.start(h), mesh.end(t)), (mesh.end(h), mesh.start(t))])
+            .collect();
+        let mut vertices: Vec<u32> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let place = |u: u32| vertices.partition_point(|v| *v < u) as u32;
+        let mut parent: Vec<u32> = (0..vertices.len() as u32).collect();
+        for &(p, q) in &pairs {
+            let (a, b) = (find_root(&mut parent, place(p)), find_root(&mut parent, place(q)));
+            parent[a.max(b) as usize] = a.min(b);
+        }
+        let mut number = vec![u32::MAX; vertices.len()];
+        for (i, &u) in vertices.iter().enumerate() {
+            let root = find_root(&mut parent, i as u32) as usize;
+            if number[root] == u32::MAX {
+                number[root] = self.nodes.len() as u32;
+                self.nodes.push(Node {
+                    vertices: Vec::new(),
+                    at: DVec2::ZERO,
+                    budget: f64::NEG_INFINITY,
+                    free: false,
+                    seam: true,
+                });
+            }
+            self.nodes[number[root] as usize].vertices.push(u);
+            self.scratch.node[u as usize] = (self.scratch.epoch, number[root]);
+        }
+        let mut largest: f64 = 0.0;
+        let extra = if self.wide { 1.5 * self.op.lengths[0].max(self.op.lengths[1]) / zip.len() as f64 } else { 0.0 };
+        for n in 0..self.nodes.len() {
+            let at: Vec<DVec2> = self.nodes[n].vertices.iter().map(|&u| self.aligned(u)).collect();
+            let stays = self.nodes[n]
+                .vertices
+                .iter()
+                .zip(&at)
+                .filter(|(u, _)| self.target == Target::Kept && !self.mesh.star[**u as usize].iter().any(|f| self.comes(*f)))
+                .map(|(_, p)| *p);
+            let (sum, count) = stays.fold((DVec2::ZERO, 0.0), |(s, c), p| (s + p, c + 1.0));
+            let target = match count {
+                0.0 => at.iter().sum::<DVec2>() / at.len() as f64,
+                // One vertex stays bit for bit.
+                1.0 => sum,
+                _ => sum / count,
+            };
+            // What fits to within rounding takes the place that is there already.
+            let spread = at.iter().map(|p| p.distance(target)).fold(0.0, f64::max);
+            let node = &mut self.nodes[n];
+            node.at = if spread <= STILL { at[0] } else { target };
+            if spread > STILL {
+                node.budget = self.params.alpha * spread * if self.wide { 3.0 } else { 1.0 } + extra;
+                node.free = self.target == Target::Mean;
+            }
+            largest = largest.max(spread);
+        }
+        largest
+    }
+
+    /// Spreads deformation from the seam: a vertex within alpha displacements of a fused one is free (section 4.2.2). Distances are
+    /// taken to the fused vertex through which a vertex was reached.
+    fn spread(&mut self) {
+        let mesh = self.mesh;
+        // (budget left, node, source): the largest first; all are finite.
+        let mut heap: BinaryHeap<Reach> = BinaryHeap::new();
+        for (n, node) in self.nodes.iter().enumerate() {
+            if node.budget >= 0.0 {
+                heap.push(Reach { left: node.budget, node: n as u32, source: n as u32 });
+            }
+        }
+        let radius: Vec<f64> = self.nodes.iter().map(|n| n.budget).collect();
+        while let Some(Reach { left, node, source }) = heap.pop() {
+            if left < self.nodes[node as usize].budget || self.nodes.len() > WIDEST {
+                continue;
+            }
+            let from = self.nodes[source as usize].at;
+            for i in 0..self.nodes[node as usize].vertices.len() {
+                let u = self.nodes[node as usize].vertices[i];
+                if self.target == Target::Kept && mesh.star[u as usize].first().is_some_and(|f| !self.comes(*f)) {
+                    continue;
+                }
+                for &f in &mesh.star[u as usize] {
+                    for w in mesh.corners[f as usize] {
+                        if w == u {
+                            continue;
+                        }
+                        let at = self.aligned(w);
+                        let left = radius[source as usize] - at.distance(from);
+                        if !(left >= 0.0) {
+                            continue;
+                        }
+                        let known = self.scratch.node(w);
+                        let n = known.unwrap_or(self.nodes.len() as u32);
+                        if known.is_none() {
+                            self.scratch.node[w as usize] = (self.scratch.epoch, n);
+                            self.nodes.push(Node {
+                                vertices: vec![w],
+                                at,
+                                budget: f64::NEG_INFINITY,
+                                free: true,
+                                seam: false,
+                            });
+                        }
+                        let own = &mut self.nodes[n as usize];
+                        if own.seam && self.target == Target::Kept {
+                            continue;
+                        }
+                        if left > own.budget {
+                            own.budget = left;
+                            own.free = true;
+                            heap.push(Reach { left, node: n, source });
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Collects the faces with a corner that moves.
+    fn gather(&mut self) -> Result<(), Reason> {
+        if self.nodes.len() > WIDEST {
+            return Err(Reason::Local);
+        }
+        for n in 0..self.nodes.len() {
+            for i in 0..self.nodes[n].vertices.len() {
+                let u = self.nodes[n].vertices[i];
+                if !self.nodes[n].free && self.aligned(u) == self.nodes[n].at {
+                    continue;
+                }
+                for &f in &self.mesh.star[u as usize] {
+                    if self.scratch.in_band(f).is_none() {
+                        self.scratch.band[f as usize] = (self.scratch.epoch, self.band.len() as u32);
+                        self.band.push(f);
+                    }
+                }
+            }
+        }
+        // A face between two vertices that become one would vanish.
+        let collapses = |f: &u32| {
+            let c = self.mesh.corners[*f as usize];
+            let n = c.map(|u| self.scratch.node(u));
+            (0..3).any(|k| c[k] != c[(k + 1) % 3] && n[k].is_some() && n[k] == n[(k + 1) % 3])
+        };
+        let vanishes = self.nodes.iter().filter(|n| n.seam).flat_map(|n| &n.vertices).any(|&u| {
+            self.mesh.star[u as usize].iter().any(collapses)
+        });
+        if vanishes { Err(Reason::Fold) } else { Ok(()) }
+    }
+
+    /// Local ARAP against the input's triangles (section 4.2.2).
+    fn optimise(&mut self, displaced: f64) -> Result<(), Reason> {
+        let mesh = self.mesh;
+        if !self.nodes.iter().any(|n| n.free) {
+            return Ok(());
+        }
+        // Vertices of the band: nodes, and others, which stay.
+        let mut positions: Vec<DVec2> = self.nodes.iter().map(|n| n.at).collect();
+        let mut free: Vec<bool> = self.nodes.iter().map(|n| n.free).collect();
+        let mut others: Vec<u32> = Vec::new();
+        for &f in &self.band {
+            others.extend(mesh.corners[f as usize].iter().filter(|u| self.scratch.node(**u).is_none()));
+        }
+        others.sort_unstable();
+        others.dedup();
+        let nodes = self.nodes.len() as u32;
+        for &u in &others {
+            positions.push(self.aligned(u));
+            free.push(false);
+        }
+        let local = |u: u32| {
+            self.scratch.node(u).unwrap_or_else(|| nodes + others.partition_point(|v| *v < u) as u32)
+        };
+        let triangles: Vec<[u32; 3]> = self.band.iter().map(|&f| mesh.corners[f as usize].map(local)).collect();
+        let rest: Vec<[DVec2; 3]> = self.band.iter().map(|&f| mesh.shape(f)).collect();
+        // Seam vertices that stay in no triangle of the band would have no equation.
+        let mut used = vec![false; free.len()];
+        triangles.iter().flatten().for_each(|v| used[*v as usize] = true);
+        free.iter_mut().zip(&used).for_each(|(free, used)| *free &= used);
+        let patch = Patch { triangles: &triangles, rest: &rest, free: &free };
+        let system = Arap::new(&patch).ok_or(Reason::Singular)?;
+        system.relax(&mut positions, ROUNDS, SETTLED * displaced);
+        self.work += (ROUNDS / 4 * self.band.len()) as u64;
+        if positions.iter().any(|p| !p.is_finite()) {
+            return Err(Reason::Singular);
+        }
+        self.nodes.iter_mut().zip(positions).for_each(|(n, p)| n.at = p);
+        Ok(())
+    }
+
+    /// No face may turn over or shrink to nothing, except where it had in the input (section 4.2.3).
+    fn folds(&self) -> Result<(), Reason> {
+        for &f in &self.band {
+            if self.mesh.weight[f as usize] == 0.0 {
+                continue;
+            }
+            let rest = &self.mesh.rest[f as usize];
+            let now = self.placed_triangle(f);
+            let sign = super::mesh::sign(&now);
+            let wrong = sign != super::mesh::sign(rest)
+                && sign != 1;
+            let lost = jacobian(rest, &now).is_none_or(|j| singular_values(&j)[1].abs() < LOST);
+            if wrong || lost {
+                return Err(Reason::Fold);
+            }
+        }
+        Ok(())
+    }
+
+    fn local_energy(&self) -> Result<(), Reason> {
+        let (mut energy, mut weight) = (0.0, 0.0);
+        for &f in &self.band {
+            energy += self.mesh.energy_at(f, &self.placed_triangle(f));
+            weight += self.mesh.weight[f as usize];
+        }
+        let small = self.params.search == Search::Partial
+            && self.mesh.charts[self.op.moved as usize].area < self.params.island_area;
+        let limit = self.params.max_local_energy * if small { ISLAND } else { 1.0 };
+        if energy <= limit * weight + 1e-12 { Ok(()) } else { Err(Reason::Local) }
+    }
+
+    fn merge(&self, zip: Vec<(u32, u32)>) -> Merge {
+        let mut merge = Merge {
+            zip,
+            fuse: Vec::new(),
+            places: Vec::new(),
+            band: Vec::with_capacity(self.band.len()),
+            deformed: Vec::new(),
+            energy: 0.0,
+        };
+        for node in &self.nodes {
+            let [first, rest @ ..] = node.vertices.as_slice() else { continue };
+            merge.fuse.extend(rest.iter().map(|&u| (u, *first)));
+            if self.aligned(*first) != node.at {
+                merge.places.push((*first, node.at));
+            }
+        }
+        for &f in &self.band {
+            let (now, aligned) = (self.placed_triangle(f), self.aligned_triangle(f));
+            let energy = self.mesh.energy_at(f, &now);
+            merge.band.push((f, energy));
+            merge.energy += energy - self.mesh.energy[f as usize];
+            if now.iter().zip(&aligned).any(|(p, q)| p.distance(*q) > STILL) {
+                merge.deformed.push(f);
+            }
+        }
+        merge
+    }
+}
+
+impl Trial<'_> {
+    fn debug(&mut self, displaced: f64, again: usize) {
+        let mesh = self.mesh;
+        let placed: Vec<_> = self.band.iter().map(|&f| self.placed_triangle(f)).collect();
+        let mut depth = [0.0f64; 2]; let mut kinds = [0; 2];
+        for i in 0..placed.len() { for j in 0..i { if clash(mesh, self.band[i], &placed[i], self.band[j], &placed[j]) { depth[0] = depth[0].max(penetration(&placed[i], &placed[j])); kinds[0] += 1; let (p, q) = (self.band[i], self.band[j]); let name = |f: u32| format!("{f}:h{} s{}{} {}", mesh.home[f as usize], super::mesh::sign(&mesh.rest[f as usize]), super::mesh::sign(&placed[self.scratch.in_band(f).unwrap() as usize]), if mesh.chart_of[f as usize] == self.op.kept { "K" } else { "M" }); if kinds[0] < 4 { eprintln!("    before {:.3} now {:.3} {} {} shared {}", penetration(&mesh.rest[p as usize], &mesh.rest[q as usize]), penetration(&placed[i], &placed[j]), name(p), name(q), mesh.surface[p as usize].iter().filter(|v| mesh.surface[q as usize].contains(v)).count()); } } } }
+        for (i, &f) in self.band.iter().enumerate() { for c in [self.op.kept, self.op.moved] { for &g in &mesh.charts[c as usize].faces { if self.scratch.in_band(g).is_none() { let t = self.aligned_triangle(g); if clash(mesh, f, &placed[i], g, &t) { depth[1] = depth[1].max(penetration(&placed[i], &t)); kinds[1] += 1; } } } } }
+        eprintln!("{} {:?} {:?} wide {} b {:.2} again {again} edges {} displaced {displaced:.3} cost {:.3} band {} pairs {:?} depth {:?} area {:.1} {:.1}", if self.op.benefit(mesh) > 0.99 {"FULL"} else {"PART"}, self.op.kind, self.target, self.wide, self.op.benefit(mesh), self.op.edges.len(), self.op.cost, self.band.len(), kinds, depth, mesh.charts[self.op.kept as usize].area, mesh.charts[self.op.moved as usize].area);
+    }
+}
+
+/// A vertex reached from a fused one.
+struct Reach {
+    left: f64,
+    node: u32,
+    source: u32,
+}
+
+impl PartialEq for Reach {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Reach {}
+
+impl PartialOrd for Reach {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Reach {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.left.total_cmp(&other.left).then(other.node.cmp(&self.node)).then(other.source.cmp(&self.source))
+    }
+}
+
+/// Whether two faces overlap that did not in the input, or more than there.
+fn clash(mesh: &Mesh, f: u32, at: &[DVec2; 3], g: u32, there: &[DVec2; 3]) -> bool {
+    let slack = 5.0 * mesh.tolerance;
+    if !triangles_overlap(at, there) {
+        return false;
+    }
+    let depth = penetration(at, there);
+    if depth <= slack {
+        return false;
+    }
+    let (p, q) = (&mesh.rest[f as usize], &mesh.rest[g as usize]);
+    let before = penetration(p, q);
+    before == 0.0 || depth > before * 1.01 + slack
+}

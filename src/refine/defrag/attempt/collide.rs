@@ -1,0 +1,84 @@
+//! Overlaps that an operation would make (section 4.2.3).
+
+use super::{Trial, clash};
+use crate::atlas::bvh::Bounds;
+use crate::atlas::rigid::Rigid;
+
+/// Pairs that are found before the search ends.
+const MOST: usize = 64;
+
+impl Trial<'_> {
+    /// Whether the chart that comes lies on the other, apart from the faces that will be deformed. Its border suffices: a chart
+    /// cannot lie inside a larger one, to which it is joined, without their borders crossing.
+    pub(super) fn border_collides(&mut self) -> bool {
+        let mesh = self.mesh;
+        let [kept, moved] = [self.op.kept, self.op.moved].map(|c| &mesh.charts[c as usize]);
+        let mut hit = false;
+        for &f in &moved.faces {
+            let at = self.aligned_triangle(f);
+            let bounds = Bounds::of(&at);
+            self.region = self.region.union(bounds);
+            if hit || self.scratch.in_band(f).is_some() || !mesh.on_border(f) {
+                continue;
+            }
+            self.work += 1;
+            kept.grid.query(&bounds, &kept.faces, |g| {
+                hit = self.scratch.in_band(g).is_none() && clash(mesh, f, &at, g, &mesh.triangle(g));
+                !hit
+            });
+        }
+        hit
+    }
+
+    /// Faces of the band that overlap others, and those of the band that they overlap.
+    pub(super) fn overlapping(&mut self) -> Vec<u32> {
+        let mesh = self.mesh;
+        let mut found = Vec::new();
+        let mut looked = 0;
+        let placed: Vec<_> = self.band.iter().map(|&f| self.placed_triangle(f)).collect();
+        let charts = if self.within() { vec![self.op.kept] } else { vec![self.op.kept, self.op.moved] };
+        for (&f, at) in self.band.iter().zip(&placed) {
+            let bounds = Bounds::of(at);
+            for &c in &charts {
+                let comes = !self.within() && c == self.op.moved;
+                let own = if comes { moved_back(&bounds, at, &self.op.motion) } else { bounds };
+                let chart = &mesh.charts[c as usize];
+                chart.grid.query(&own, &chart.faces, |g| {
+                    looked += 1;
+                    if self.scratch.in_band(g).is_none() && clash(mesh, f, at, g, &self.aligned_triangle(g)) {
+                        found.push(f);
+                    }
+                    found.len() < MOST
+                });
+            }
+            if found.len() >= MOST {
+                break;
+            }
+        }
+        // The band against itself: by a sweep along x.
+        let mut order: Vec<(f64, usize)> = placed.iter().enumerate().map(|(i, t)| (Bounds::of(t).min.x, i)).collect();
+        order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        for (n, &(_, i)) in order.iter().enumerate() {
+            let bounds = Bounds::of(&placed[i]);
+            for &(x, j) in &order[n + 1..] {
+                if x > bounds.max.x || found.len() >= MOST {
+                    break;
+                }
+                looked += 1;
+                if clash(mesh, self.band[i], &placed[i], self.band[j], &placed[j]) {
+                    found.extend([self.band[i], self.band[j]]);
+                }
+            }
+        }
+        self.work += looked;
+        found
+    }
+}
+
+/// Bounds of a triangle in the coordinates that `motion` leads from.
+fn moved_back(bounds: &Bounds, at: &[glam::DVec2; 3], motion: &Rigid) -> Bounds {
+    let back = motion.inverse();
+    let own = Bounds::of(&at.map(|p| back.apply(p)));
+    let slack = 1e-9 * bounds.max.abs().max(bounds.min.abs()).max_element().max(1.0);
+    Bounds { min: own.min - slack, max: own.max + slack }
+}

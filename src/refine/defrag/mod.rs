@@ -1,0 +1,231 @@
+//! The stage `defrag`: Maggiordomo, Cignoni and Tarini 2021, *Texture Defragmentation for Photo-Reconstructed 3D Models*.
+//!
+//! Charts are merged along their seams, the most appealing operation first (Algorithm 1). A merge aligns the smaller chart to the
+//! other, fuses the seam's vertices and lets the triangles near it find the shape that they had in the input again; what would
+//! overlap, fold or be deformed too much is not done. Charts that keep their texels are placed so that they do.
+
+mod attempt;
+mod border;
+mod commit;
+mod grid;
+mod mesh;
+mod operation;
+pub mod params;
+mod place;
+mod queue;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+use rayon::prelude::*;
+use serde_json::{Map, Value, json};
+
+use self::attempt::{Attempt, Reason, Scratch, attempt};
+use self::mesh::Mesh;
+use self::params::Defrag;
+use self::queue::Queue;
+use super::options::{Options, OverlapMode, Rotation};
+use super::pack::{keeps_input, lay_out};
+use super::stage::{Frame, Staged};
+use crate::atlas::{Atlas, Charts, Topology, clusters};
+use crate::context::Context;
+use crate::error::{Result, Warning};
+
+/// Operations that are tried at once, ahead of their turn.
+const AHEAD: usize = 16;
+
+/// Merges charts and packs them.
+///
+/// # Errors
+/// `too_large` when a chart fits on no sheet, `canceled`.
+pub(crate) fn defrag(
+    atlas: &Atlas,
+    frame: &Frame,
+    params: &Defrag,
+    options: &Options,
+    context: &Context,
+) -> Result<Staged> {
+    let charts = Charts::new(&Topology::new(atlas));
+    let together = clusters(atlas, &charts, options.atlas.overlaps);
+    let open: Vec<bool> =
+        charts.ids().map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1).collect();
+    let (mesh, mut figures) = merge_charts(atlas, &charts, &open, frame, params, options, context)?;
+    let held: f64 = held_back(atlas, &charts, &open);
+    figures.insert("held_back".to_owned(), json!(held));
+    if held > 0.0 && options.atlas.overlaps == OverlapMode::Stack {
+        context.warn(Warning::new(
+            "held_back",
+            format!("{:.1} % of the area of atlas {} is not merged: charts that share texels", 100.0 * held, frame.id),
+        ));
+    }
+    let placed = place::place(mesh, atlas, params.min_preserved, frame, options.pack.rotation != Rotation::Any);
+    figures.insert("preserved_area".to_owned(), json!(placed.preserved));
+    context.step(0.75, "packing")?;
+    let (laid, work) = lay_out(&placed.atlas, frame, options, &[], 1.0, context)?;
+    figures.insert("pack_work".to_owned(), json!(work));
+    let staged = Staged { atlas: laid, stopped_by: "done", figures, kept: false };
+    if keeps_input(atlas, &staged.atlas, frame, options) {
+        return Ok(staged.undone(atlas, frame, context));
+    }
+    Ok(staged)
+}
+
+/// Part of the UV area whose charts may not be merged.
+fn held_back(atlas: &Atlas, charts: &Charts, open: &[bool]) -> f64 {
+    let (mut held, mut all) = (0.0, 0.0);
+    for face in atlas.faces() {
+        let area = atlas.uv_area(face).abs();
+        all += area;
+        if !open[charts.of_face[face.index()].index()] {
+            held += area;
+        }
+    }
+    held / f64::max(all, 1e-300)
+}
+
+/// Algorithm 1: the mesh with merged charts, each in its own coordinates.
+fn merge_charts(
+    atlas: &Atlas,
+    charts: &Charts,
+    open: &[bool],
+    frame: &Frame,
+    params: &Defrag,
+    options: &Options,
+    context: &Context,
+) -> Result<(Mesh, Map<String, Value>)> {
+    context.step(0.02, "finding seams")?;
+    let mut mesh = Mesh::new(atlas, charts, open, !frame.directions);
+    let mut queue = Queue::new(&mesh, params, f64::from(frame.unit), context.seed ^ options.seed);
+    let pool: Mutex<Vec<Scratch>> = Mutex::new(Vec::new());
+    let weight: f64 = mesh.weight.iter().sum::<f64>().max(1e-300);
+    let surface: f64 = mesh.area.iter().sum();
+    let mut energy = 0.0;
+    let mut kept: f64 = mesh.charts.iter().map(|c| c.kept).sum();
+    let (mut merges, mut tried, mut work) = (0u64, 0u64, 0u64);
+    let mut failures: BTreeMap<Reason, u64> = BTreeMap::new();
+    let budget = options.work_budget.unwrap_or(u64::MAX);
+    let start = queue.len().max(1);
+    let mut stopped_by = "done";
+    while let Some(entry) = queue.pop() {
+        context.check()?;
+        if queue.known(&mesh, entry).is_none() {
+            if work > budget || context.out_of_time() {
+                stopped_by = if work > budget { "work_budget" } else { "time_limit" };
+                break;
+            }
+            work += look_ahead(&mesh, &mut queue, entry, params, &pool);
+            let done = 1.0 - (queue.len() as f64 / start as f64).min(1.0);
+            context.step(0.05 + 0.65 * done, "merging charts")?;
+        }
+        tried += 1;
+        let known = queue.known(&mesh, entry).cloned();
+        let Some(Attempt { outcome, region, .. }) = known else { continue };
+        let op = queue.entries[entry as usize].op.clone();
+        let verdict = outcome.and_then(|merge| {
+            if energy + merge.energy > params.max_global_energy * weight && merge.energy > 0.0 {
+                return Err(Reason::Global);
+            }
+            let before = mesh.charts[op.kept as usize].kept
+                + if op.kept == op.moved { 0.0 } else { mesh.charts[op.moved as usize].kept };
+            let after = kept - before + mesh.kept_after(&op, &merge);
+            if params.max_resampled < 1.0 && after < (1.0 - params.max_resampled - 1e-9) * surface && after < kept {
+                return Err(Reason::Resampled);
+            }
+            if !border::stays_flat(&mesh, &merge.zip, op.kept == op.moved) {
+                return Err(Reason::Topology);
+            }
+            Ok((merge, after))
+        });
+        match verdict {
+            Ok((merge, after)) => {
+                energy += merge.energy;
+                kept = after;
+                merges += 1;
+                mesh.commit(&op, &merge, region);
+                queue.merged(&mesh, entry, &merge, region);
+            }
+            Err(reason) => {
+                *failures.entry(reason).or_default() += 1;
+                queue.failed(&mesh, entry, reason);
+            }
+        }
+    }
+    if std::env::var("DBG2").is_ok() {
+        for (c, chart) in mesh.charts.iter().enumerate().filter(|(_, c)| !c.faces.is_empty()) {
+            let mut all: Vec<String> = Vec::new();
+            for e in &queue.entries {
+                if (e.op.kept == c as u32 || e.op.moved == c as u32) && e.standing != queue::Standing::Gone {
+                    let reason = e.known.as_ref().map(|k| format!("{:?}", k.0.outcome.as_ref().err())).unwrap_or_default();
+                    all.push(format!("{:?}:{}e {} b{:.2} f{} cost {:.2} {:?}", e.op.kind, e.op.edges.len(), reason, e.op.benefit(&mesh), e.op.fails, e.op.cost, e.standing));
+                }
+            }
+            let links = chart.faces.iter().flat_map(|f| 3 * f..3 * f + 3).filter(|h| mesh.twin[*h as usize] == crate::atlas::NONE).count();
+            let linked = chart.faces.iter().flat_map(|f| 3 * f..3 * f + 3).filter(|h| mesh.link[*h as usize] != crate::atlas::NONE).count();
+            if chart.faces.len() < 300 { eprintln!("chart {c} faces {} area {:.1} sound {} border {} linked {} | {}", chart.faces.len(), chart.area, chart.sound, links, linked, all.join(" | ")); }
+        }
+    }
+    let total: f64 = mesh.energy.iter().sum();
+    let failures: Map<String, Value> =
+        failures.into_iter().map(|(reason, n)| (reason.name().to_owned(), Value::from(n))).collect();
+    let left = mesh.charts.iter().filter(|c| !c.faces.is_empty()).count();
+    let figures = Map::from_iter([
+        ("charts_before".to_owned(), json!(charts.len())),
+        ("charts".to_owned(), json!(left)),
+        ("merges".to_owned(), json!(merges)),
+        ("attempts".to_owned(), json!(tried)),
+        ("failures".to_owned(), Value::Object(failures)),
+        ("energy".to_owned(), json!(total / weight)),
+        ("work".to_owned(), json!(work)),
+        ("merging_stopped_by".to_owned(), json!(stopped_by)),
+    ]);
+    Ok((mesh, figures))
+}
+
+/// Tries an operation, and at the same time those that follow: an attempt changes nothing, and stands as long as nothing changes that it
+/// depends on. So the result is that of trying one after the other.
+fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, pool: &Mutex<Vec<Scratch>>) -> u64 {
+    let mut batch = vec![entry];
+    let mut others = Vec::new();
+    while batch.len() < AHEAD && others.len() < 2 * AHEAD {
+        let Some(next) = queue.pop() else { break };
+        others.push(next);
+        if queue.known(mesh, next).is_none() {
+            batch.push(next);
+        }
+    }
+    let entries = &queue.entries;
+    let found: Vec<Attempt> = batch
+        .par_iter()
+        .map(|&e| {
+            let mut scratch = pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+            let found = attempt(mesh, &entries[e as usize].op, params, &mut scratch);
+            pool.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+            found
+        })
+        .collect();
+    let work = found.iter().map(|a| a.work).sum();
+    for (&e, attempt) in batch.iter().zip(found) {
+        queue.remember(mesh, e, attempt);
+    }
+    for e in others {
+        queue.push(e);
+    }
+    work
+}
+
+#[cfg(debug_assertions)]
+/// x
+pub fn dev(atlas: &Atlas, frame: &Frame, params: &Defrag, options: &Options) -> (Atlas, Map<String, Value>) { dev_(atlas, frame, params, options) }
+/// x
+pub fn dev_(atlas: &Atlas, frame: &Frame, params: &Defrag, options: &Options) -> (Atlas, Map<String, Value>) {
+    let charts = Charts::new(&Topology::new(atlas));
+    let open = vec![true; charts.len()];
+    let now = std::time::Instant::now();
+    let (mesh, mut figures) = merge_charts(atlas, &charts, &open, frame, params, options, &Context::silent()).unwrap();
+    figures.insert("s".into(), json!(now.elapsed().as_secs_f64()));
+    let placed = place::place(mesh, atlas, params.min_preserved, frame, true);
+    figures.insert("preserved_area".to_owned(), json!(placed.preserved));
+    (placed.atlas, figures)
+}

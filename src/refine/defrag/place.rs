@@ -1,0 +1,144 @@
+//! Grid-preserving coordinates for the merged charts (section 4.5).
+//!
+//! Packing keeps texels whole by moving charts in whole texels and quarter turns. So each chart is put where the larger part of its
+//! surface that was only moved lies as it did in the input, and packing takes it from there.
+
+use glam::DVec2;
+
+use super::mesh::{Mesh, mirror};
+use crate::atlas::Atlas;
+use crate::atlas::rigid::Rigid;
+use crate::refine::stage::Frame;
+
+/// How far corners may lie from whole texels to be put there: resampling counts less than this as none.
+const WHOLE: f64 = 5e-4;
+
+/// The atlas, with charts ready for packing.
+pub(super) struct Placed {
+    /// Charts may overlap: pack it before use.
+    pub atlas: Atlas,
+    /// By chart of `atlas` (numbered by smallest face): whether its texels are resampled anyway.
+    pub free: Vec<bool>,
+    /// 3D area that keeps its texels / all of it.
+    pub preserved: f64,
+}
+
+/// Puts each chart where the part of its input that was moved only, and is largest in 3D, lies as it did; not where that is under
+/// `least` of the chart's 3D area. Without `whole_texels` nothing is.
+pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole_texels: bool) -> Placed {
+    let unit = f64::from(frame.unit);
+    let mut motion = vec![Rigid::IDENTITY; mesh.charts.len()];
+    let mut exact = vec![false; mesh.corners.len()];
+    let mut free = vec![true; mesh.charts.len()];
+    // Charts most of which was mirrored are mirrored back.
+    let mut mirrored = vec![false; mesh.charts.len()];
+    let mut preserved = 0.0;
+    let mut total = 0.0;
+    for (c, chart) in mesh.charts.iter().enumerate().filter(|(_, c)| !c.faces.is_empty()) {
+        let area: f64 = chart.faces.iter().map(|&f| mesh.area[f as usize]).sum();
+        total += area;
+        mirrored[c] = mesh.mirrored[chart.main as usize];
+        if !whole_texels {
+            continue;
+        }
+        // Area that was only moved, by chart of the input.
+        let mut moved: Vec<(u32, f64, Vec<u32>)> = Vec::new();
+        let mut faces: Vec<(u32, u32)> = chart
+            .faces
+            .iter()
+            .filter(|&&f| !mesh.deformed[f as usize])
+            .map(|&f| (mesh.home[f as usize], f))
+            .collect();
+        faces.sort_unstable();
+        for own in faces.chunk_by(|a, b| a.0 == b.0) {
+            let home = own[0].0;
+            let there: Vec<u32> = own.iter().map(|o| o.1).filter(|&f| is_moved(&mesh, f)).collect();
+            let area = there.iter().map(|&f| mesh.area[f as usize]).sum();
+            moved.push((home, area, there));
+        }
+        // Groups by motion, up to whole texels and quarter turns: the first of a group stands for it.
+        let mut groups: Vec<(Rigid, f64, Vec<usize>)> = Vec::new();
+        for (i, (home, area, there)) in moved.iter().enumerate() {
+            let own = mesh.motion[*home as usize];
+            let Some(&face) = there.first() else { continue };
+            let sample = mesh.rest[face as usize];
+            let alike = |g: &&mut (Rigid, f64, Vec<usize>)| {
+                mesh.mirrored[moved[g.2[0]].0 as usize] == mesh.mirrored[*home as usize]
+                    && on_grid(&g.0, &own, &sample, unit)
+            };
+            match groups.iter_mut().find(alike) {
+                Some(group) => {
+                    group.1 += area;
+                    group.2.push(i);
+                }
+                None => groups.push((own, *area, vec![i])),
+            }
+        }
+        let Some(best) = groups.into_iter().reduce(|a, b| if b.1 > a.1 { b } else { a }) else { continue };
+        if best.1 < least * area {
+            continue;
+        }
+        preserved += best.1;
+        mirrored[c] = mesh.mirrored[moved[best.2[0]].0 as usize];
+        free[c] = false;
+        motion[c] = best.0.inverse();
+        for (_, _, there) in best.2.into_iter().map(|i| &moved[i]) {
+            there.iter().for_each(|&f| exact[f as usize] = true);
+        }
+    }
+    // Vertices of faces that keep their texels lie exactly where they did, by whole texels and quarter turns.
+    let mut at: Vec<Option<DVec2>> = vec![None; mesh.uv.len()];
+    for f in (0..mesh.corners.len()).filter(|&f| exact[f]) {
+        let own = motion[mesh.chart_of[f] as usize].after(&mesh.motion[mesh.home[f] as usize]);
+        let whole = whole(&own, unit);
+        for (u, p) in mesh.corners[f].iter().zip(mesh.rest[f]) {
+            at[*u as usize].get_or_insert(whole.apply(p));
+        }
+    }
+    for (u, at) in at.iter_mut().enumerate() {
+        if at.is_none()
+            && let Some(&f) = mesh.star[u].first()
+        {
+            *at = Some(motion[mesh.chart_of[f as usize] as usize].apply(mesh.uv[u]));
+        }
+    }
+    // Charts that were not touched, and those that are not finite, stay bit for bit.
+    let touched: Vec<bool> = mesh.charts.iter().map(|c| c.parts.len() > 1 || !c.changes.is_empty()).collect();
+    let mut seen = vec![false; mesh.charts.len()];
+    let mut in_order = Vec::new();
+    for &c in &mesh.chart_of {
+        if !std::mem::replace(&mut seen[c as usize], true) {
+            in_order.push(free[c as usize] && touched[c as usize]);
+        }
+    }
+    let (corners, chart_of) = (mesh.corners.clone(), mesh.chart_of.clone());
+    let atlas = mesh.into_atlas(before, |f, own| {
+        let c = chart_of[f as usize] as usize;
+        let now = if touched[c] { [0, 1, 2].map(|k| at[corners[f as usize][k] as usize].unwrap_or(own[k])) } else { own };
+        if mirrored[c] { now.map(mirror) } else { now }
+    });
+    Placed { atlas, free: in_order, preserved: preserved / f64::max(total, 1e-300) }
+}
+
+/// Whether a face lies where its chart of the input was moved.
+fn is_moved(mesh: &Mesh, face: u32) -> bool {
+    let motion = &mesh.motion[mesh.home[face as usize] as usize];
+    mesh.triangle(face).iter().zip(&mesh.rest[face as usize]).all(|(p, q)| motion.apply(*q).distance(*p) <= WHOLE)
+}
+
+/// Whether two motions differ by quarter turns and whole units, at the place of a face.
+fn on_grid(a: &Rigid, b: &Rigid, rest: &[DVec2; 3], unit: f64) -> bool {
+    let relative = a.inverse().after(b);
+    let whole = whole(&relative, unit);
+    rest.iter().all(|p| relative.apply(*p).distance(whole.apply(*p)) <= WHOLE)
+}
+
+/// The motion by quarter turns and whole units that is nearest.
+fn whole(motion: &Rigid, unit: f64) -> Rigid {
+    let (cos, sin) = if motion.cos.abs() >= motion.sin.abs() {
+        (motion.cos.signum(), 0.0)
+    } else {
+        (0.0, motion.sin.signum())
+    };
+    Rigid { cos, sin, translate: (motion.translate / unit).round() * unit }
+}
