@@ -15,6 +15,8 @@ pub(crate) struct Patch<'a> {
     pub triangles: &'a [[u32; 3]],
     /// Target shape of each triangle; where it lies does not matter.
     pub rest: &'a [[DVec2; 3]],
+    /// By triangle: how much more than its shape it counts; 1 is usual.
+    pub stiffness: &'a [f64],
     /// By vertex: whether it may move. Where none of a connected part is held, its first vertex is.
     pub free: &'a [bool],
 }
@@ -32,7 +34,8 @@ pub(crate) struct Arap<'a> {
 impl<'a> Arap<'a> {
     /// Factors the patch's Laplacian; `None` where it is not positive definite in floating point.
     pub(crate) fn new(patch: &'a Patch<'a>) -> Option<Self> {
-        let weights: Vec<[f64; 3]> = patch.rest.iter().map(weights).collect();
+        let weights: Vec<[f64; 3]> =
+            patch.rest.iter().zip(patch.stiffness).map(|(rest, s)| weights(rest).map(|w| w * s)).collect();
         let held = held(patch);
         let mut row = vec![None; patch.free.len()];
         let mut rows = 0;
@@ -169,7 +172,8 @@ mod tests {
                 .map(|(p, free)| turn(*p) + if *free { rng.point(0.5) - 0.25 } else { DVec2::ZERO })
                 .collect();
             let start = energy(&triangles, &rest, &at);
-            let patch = Patch { triangles: &triangles, rest: &rest, free: &free };
+            let stiffness = vec![1.0; rest.len()];
+            let patch = Patch { triangles: &triangles, rest: &rest, stiffness: &stiffness, free: &free };
             Arap::new(&patch).expect("positive definite").relax(&mut at, 400, 1e-12);
             let end = energy(&triangles, &rest, &at);
             assert!(end < 1e-9 && start > 0.1, "{fixed}: {start} -> {end}");
@@ -182,7 +186,8 @@ mod tests {
         let rest: Vec<[DVec2; 3]> = triangles.iter().map(|t| t.map(|v| points[v as usize])).collect();
         let free: Vec<bool> = points.iter().map(|p| p.x > 0.5 && p.x < 4.5).collect();
         let start: Vec<DVec2> = points.iter().map(|p| if p.x > 4.5 { *p + DVec2::new(1.5, 2.0) } else { *p }).collect();
-        let patch = Patch { triangles: &triangles, rest: &rest, free: &free };
+        let stiffness = vec![1.0; rest.len()];
+        let patch = Patch { triangles: &triangles, rest: &rest, stiffness: &stiffness, free: &free };
         let system = Arap::new(&patch).expect("positive definite");
         let mut at = start.clone();
         let mut last = f64::INFINITY;

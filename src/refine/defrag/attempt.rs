@@ -27,6 +27,10 @@ const AGAIN: usize = 3;
 const WIDEST: usize = 20_000;
 /// Singular values of a face that is as good as lost.
 const LOST: f64 = 0.02;
+/// Times that triangles which are turned over are made stiffer.
+const HARDER: usize = 4;
+/// By how much.
+const STIFFER: f64 = 6.0;
 /// How much more a chart may be deformed that is too small to matter.
 const ISLAND: f64 = 20.0;
 
@@ -447,10 +451,25 @@ impl Trial<'_> {
         let mut used = vec![false; free.len()];
         triangles.iter().flatten().for_each(|v| used[*v as usize] = true);
         free.iter_mut().zip(&used).for_each(|(free, used)| *free &= used);
-        let patch = Patch { triangles: &triangles, rest: &rest, free: &free };
-        let system = Arap::new(&patch).ok_or(Reason::Singular)?;
-        system.relax(&mut positions, ROUNDS, SETTLED * displaced);
-        self.work += (ROUNDS / 4 * self.band.len()) as u64;
+        let mut stiffness = vec![1.0; rest.len()];
+        for harder in 0..=HARDER {
+            let patch = Patch { triangles: &triangles, rest: &rest, stiffness: &stiffness, free: &free };
+            let system = Arap::new(&patch).ok_or(Reason::Singular)?;
+            system.relax(&mut positions, ROUNDS, SETTLED * displaced);
+            self.work += (ROUNDS / 4 * self.band.len()) as u64;
+            // Triangles that are turned over resist more, and the rest gives way.
+            let mut folded = false;
+            for ((t, r), s) in triangles.iter().zip(&rest).zip(&mut stiffness) {
+                let now = t.map(|v| positions[v as usize]);
+                if super::mesh::sign(r) > 0 && jacobian(r, &now).is_some_and(|j| singular_values(&j)[1] < 2.0 * LOST) {
+                    *s *= STIFFER;
+                    folded = true;
+                }
+            }
+            if !folded || self.params.search == Search::Paper || harder > 0 && self.band.len() > 2000 {
+                break;
+            }
+        }
         if positions.iter().any(|p| !p.is_finite()) {
             return Err(Reason::Singular);
         }
@@ -471,6 +490,15 @@ impl Trial<'_> {
                 && sign != 1;
             let lost = jacobian(rest, &now).is_none_or(|j| singular_values(&j)[1].abs() < LOST);
             if wrong || lost {
+                if std::env::var("DBGF").is_ok() {
+                    let j = jacobian(rest, &now).map(|j| singular_values(&j));
+                    let t = rest; let h = 2.0 * self.mesh.weight[f as usize] / (0..3).map(|k| t[k].distance(t[(k + 1) % 3])).fold(0.0, f64::max);
+                    let was = jacobian(rest, &self.mesh.triangle(f)).map(|j| singular_values(&j));
+                    let info: Vec<String> = self.mesh.corners[f as usize].iter().map(|u| match self.scratch.node(*u) { Some(n) => { let n = &self.nodes[n as usize]; format!("{}{}{}", if n.seam {"S"} else {"-"}, if n.free {"f"} else {"x"}, n.vertices.len()) } None => "o".to_owned() }).collect();
+                    let twins = (3 * f..3 * f + 3).map(|h| { let t = self.mesh.twin[h as usize]; if t == crate::atlas::NONE { "b".to_owned() } else { format!("{}", t / 3) } }).collect::<Vec<_>>().join(",");
+                    eprint!("was {:?} {info:?} face {f} twins {twins} rest {:?} now {:?} ", was, rest, now);
+                    eprintln!("F {:?} {:?} wide {} b {:.2} edges {} cost {:.2} band {} area {:.1} | weight {:.3} height {h:.3} s {:?} sign {} wrong {wrong}", self.op.kind, self.target, self.wide, self.op.benefit(self.mesh), self.op.edges.len(), self.op.cost, self.band.len(), self.mesh.charts[self.op.moved as usize].area, self.mesh.weight[f as usize], j.map(|j| [(j[0]*100.).round()/100., (j[1]*100.).round()/100.]), super::mesh::sign(rest));
+                }
                 return Err(Reason::Fold);
             }
         }

@@ -250,10 +250,13 @@ impl Mesh {
         if sign(rest) < 0 { energy(rest).min(energy(&rest.map(mirror))) } else { energy(rest) }
     }
 
-    /// The shape that a face should have: one that was turned over in the input is turned back where it gets the chance.
+    /// The shape that a face should have: one that was turned over in the input is turned back where it gets the chance. Not one of two
+    /// that lie back to back.
     pub(super) fn shape(&self, face: u32) -> [DVec2; 3] {
         let rest = self.rest[face as usize];
-        if sign(&rest) < 0 { rest.map(mirror) } else { rest }
+        let [a, b, c] = [0, 1, 2].map(|k| self.twin[3 * face as usize + k]).map(|t| if t == NONE { NONE } else { t / 3 });
+        let back_to_back = a == b && a != NONE || b == c && b != NONE || a == c && a != NONE;
+        if sign(&rest) < 0 && !back_to_back { rest.map(mirror) } else { rest }
     }
 
     /// Pairs of linked half edges by pair of charts (the smaller first), each once.
