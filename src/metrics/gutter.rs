@@ -77,7 +77,7 @@ fn smallest_gap(
 ) -> Option<u32> {
     let bands = Bands::new(atlas, page, size, i64::from(widest))?;
     let best = AtomicU32::new(widest);
-    bands.par_iter().for_each(|band| grow(&band, size[0], touch, &cluster, &best));
+    bands.par_iter().for_each(|band| grow(&band, size[0], touch, cluster, &best));
     Some(best.into_inner())
 }
 

@@ -109,7 +109,7 @@ fn direction(random: &mut Random) -> DVec3 {
 /// The view that each face is textured from: of those that see it well, one that chance prefers in this place.
 fn views(surface: &Surface, patches: f64, random: &mut Random) -> Vec<usize> {
     let axes = axes();
-    let mut choose = |t: &[usize; 3]| {
+    let choose = |t: &[usize; 3]| {
         let [a, b, c] = t.map(|v| surface.positions[v]);
         let normal = (b - a).cross(c - a).normalize_or(DVec3::Z);
         let place = (a + b + c) / 3.0 * patches;
@@ -127,7 +127,7 @@ fn views(surface: &Surface, patches: f64, random: &mut Random) -> Vec<usize> {
         }
         best.1
     };
-    surface.triangles.iter().map(|t| choose(t)).collect()
+    surface.triangles.iter().map(choose).collect()
 }
 
 /// Towards the cameras: evenly over the sphere, on a spiral.
