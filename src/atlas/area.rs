@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::bvh::Bounds;
 use super::clusters::components;
-use super::overlap::{faces_with_area, page_count, triangles_overlap};
+use super::overlap::{faces_with_area, page_count, turned, turned_overlap};
 use super::{Atlas, Charts, Clusters, FaceId};
 
 /// Areas in square texels of the reference.
@@ -52,9 +52,9 @@ pub fn coverage(atlas: &Atlas, charts: &Charts, clusters: &Clusters) -> Coverage
 /// The coverage of one page.
 pub fn coverage_of_page(atlas: &Atlas, charts: &Charts, clusters: &Clusters, page: usize) -> Coverage {
     let faces = faces_with_area(atlas, atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page));
-    let triangles: Vec<[DVec2; 3]> = faces.iter().map(|&f| atlas.uv_triangle(f)).collect();
+    let triangles = turned(atlas, &faces);
     let boxes: Vec<Bounds> = triangles.iter().map(|t| Bounds::of(t)).collect();
-    let label = components(&boxes, |a, b| triangles_overlap(&triangles[a], &triangles[b]));
+    let label = components(&boxes, |a, b| turned_overlap(&triangles[a], &triangles[b]));
 
     let sum: f64 = faces.iter().map(|&f| atlas.uv_area(f).abs()).sum();
     let mut whole = Coverage { covered: sum, by_charts: sum, ..Coverage::default() };

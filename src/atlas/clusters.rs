@@ -53,12 +53,13 @@ const HITS: usize = 4;
 
 /// Connected components of the overlap graph: by item, the smallest item that it hangs together with.
 ///
-/// In each round every item looks for a few neighbours outside its component, all at once and against the
-/// components of the round before; subtrees that lie wholly in its component are not entered. So a
+/// In each round every item looks for a few neighbours outside its component among the later ones, all at once and against
+/// the components of the round before; subtrees that lie wholly in its component are not entered. So a
 /// stack of n equal items takes O(n log^2 n) and not n^2 tests, and the result does not depend on the order.
 pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> bool + Sync) -> Vec<u32> {
     let tree = Bvh::new(boxes);
     let mut parent: Vec<u32> = (0..boxes.len() as u32).collect();
+    // By position in the tree.
     let mut open: Vec<u32> = (0..boxes.len() as u32).collect();
     while !open.is_empty() {
         let label: Vec<u32> = (0..boxes.len() as u32).map(|i| find_root(&mut parent, i)).collect();
@@ -66,12 +67,13 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
         let common = tree.common_labels(&by_position);
         let hits: Vec<Vec<u32>> = open
             .par_iter()
-            .map(|&i| {
+            .map(|&at| {
+                let i = tree.order[at as usize];
                 let own = label[i as usize];
                 let mut hits = Vec::new();
                 tree.query(
                     &boxes[i as usize],
-                    0,
+                    at as usize + 1,
                     |node| common[node] != Some(own),
                     |p| {
                         let j = tree.order[p];
@@ -85,13 +87,14 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
             })
             .collect();
         let mut still = Vec::new();
-        for (&i, hits) in open.iter().zip(&hits) {
+        for (&at, hits) in open.iter().zip(&hits) {
+            let i = tree.order[at as usize];
             for &j in hits {
                 let (a, b) = (find_root(&mut parent, i), find_root(&mut parent, j));
                 parent[a.max(b) as usize] = a.min(b);
             }
             if hits.len() == HITS {
-                still.push(i);
+                still.push(at);
             }
         }
         open = still;

@@ -38,7 +38,21 @@ pub fn triangles_overlap(a: &[DVec2; 3], b: &[DVec2; 3]) -> bool {
         return false;
     }
     let (Some(a), Some(b)) = (counter_clockwise(a), counter_clockwise(b)) else { return false };
-    !separates(&a, &b) && !separates(&b, &a)
+    turned_overlap(&a, &b)
+}
+
+/// [`triangles_overlap`] for two that are counter-clockwise and whose boxes meet.
+pub(crate) fn turned_overlap(a: &[DVec2; 3], b: &[DVec2; 3]) -> bool {
+    !separates(a, b) && !separates(b, a)
+}
+
+/// The triangles of faces that have an area, each counter-clockwise.
+pub(crate) fn turned(atlas: &Atlas, faces: &[FaceId]) -> Vec<[DVec2; 3]> {
+    let turned = |f: &FaceId| {
+        let triangle = atlas.uv_triangle(*f);
+        counter_clockwise(&triangle).unwrap_or(triangle)
+    };
+    faces.iter().map(turned).collect()
 }
 
 fn counter_clockwise(t: &[DVec2; 3]) -> Option<[DVec2; 3]> {
@@ -102,7 +116,7 @@ pub(crate) fn overlaps_where(
         let faces = faces_with_area(atlas, atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page));
         let tree = Bvh::new(&faces.iter().map(|&f| Bounds::of(&atlas.uv_triangle(f))).collect::<Vec<_>>());
         let sorted: Vec<FaceId> = tree.order.iter().map(|&i| faces[i as usize]).collect();
-        let triangles: Vec<[DVec2; 3]> = sorted.iter().map(|&f| atlas.uv_triangle(f)).collect();
+        let triangles = turned(atlas, &sorted);
         let blocks: Vec<usize> = (0..sorted.len()).step_by(BLOCK).collect();
         for round in blocks.chunks(ROUND) {
             let room = limit - found.len();
@@ -138,7 +152,7 @@ fn block_pairs(
             |q| {
                 tests = tests.saturating_sub(1);
                 let pair = (faces[p].min(faces[q]), faces[p].max(faces[q]));
-                if triangles_overlap(&triangles[p], &triangles[q]) && keep(pair.0, pair.1) {
+                if turned_overlap(&triangles[p], &triangles[q]) && keep(pair.0, pair.1) {
                     pairs.push(pair);
                 }
                 tests > 0 && pairs.len() <= limit
@@ -180,7 +194,7 @@ impl Bodies {
             .par_iter()
             .map(|faces| {
                 let faces = faces_with_area(atlas, faces.iter().copied());
-                let triangles: Vec<_> = faces.iter().map(|&f| atlas.uv_triangle(f)).collect();
+                let triangles = turned(atlas, &faces);
                 let tree = Bvh::new(&triangles.iter().map(|t| Bounds::of(t)).collect::<Vec<_>>());
                 let sorted = tree.order.iter().map(|&i| triangles[i as usize]).collect();
                 (tree, sorted)
@@ -214,7 +228,7 @@ impl Bodies {
                     0,
                     |_| true,
                     |q| {
-                        hit = triangles_overlap(&triangles[p], &others[q]);
+                        hit = turned_overlap(&triangles[p], &others[q]);
                         !hit
                     },
                 );

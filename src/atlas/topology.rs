@@ -84,22 +84,57 @@ fn edge<T: Copy>(corners: &[T; 3], k: usize) -> [T; 2] {
 
 /// (low, high, reversed, half edge), sorted.
 fn sorted_edges(n: usize, ends: impl Fn(usize) -> (u32, u32)) -> Vec<(u32, u32, bool, u32)> {
-    let mut keys: Vec<_> = (0..n)
+    let keys: Vec<_> = (0..n)
         .map(|h| {
             let (a, b) = ends(h);
             (a.min(b), a.max(b), a > b, h as u32)
         })
         .filter(|k| k.0 != k.1)
         .collect();
-    keys.sort_unstable();
-    keys
+    sorted(keys)
+}
+
+/// Sorts edges: by their low ends in one pass, as few start at each, then those few.
+fn sorted(mut keys: Vec<(u32, u32, bool, u32)>) -> Vec<(u32, u32, bool, u32)> {
+    let vertices = keys.iter().map(|k| k.0 as usize + 1).max().unwrap_or(0);
+    if vertices > 4 * keys.len() {
+        keys.sort_unstable();
+        return keys;
+    }
+    // Where the edges of each vertex end, once they are placed.
+    let mut ends = vec![0; vertices + 1];
+    for key in &keys {
+        ends[key.0 as usize + 1] += 1;
+    }
+    let mut sum = 0;
+    for end in &mut ends {
+        sum += *end;
+        *end = sum;
+    }
+    let mut all = vec![(0, 0, false, 0); keys.len()];
+    for key in keys {
+        let place = &mut ends[key.0 as usize];
+        all[*place] = key;
+        *place += 1;
+    }
+    all.chunk_by_mut(|a, b| a.0 == b.0).for_each(|own| own.sort_unstable());
+    all
 }
 
 /// Pairs the half edges of each run of equal edges. Those already paired in `taken` stay.
 fn pair_runs(keys: &mut [(u32, u32, bool, u32)], twin: &mut [HalfEdge], taken: &[HalfEdge]) -> usize {
     let mut crowded = 0;
     for run in keys.chunk_by_mut(|a, b| (a.0, a.1) == (b.0, b.1)) {
-        crowded += usize::from(run.len() > 2);
+        if run.len() <= 2 {
+            // Either way round they are a pair.
+            if let [a, b] = *run
+                && [a, b].iter().all(|k| taken.get(k.3 as usize).is_none_or(|t| *t == NONE))
+            {
+                join(twin, a.3, b.3);
+            }
+            continue;
+        }
+        crowded += 1;
         let free: Vec<_> = run.iter().filter(|k| taken.get(k.3 as usize).is_none_or(|t| *t == NONE)).copied().collect();
         let (forward, backward): (Vec<_>, Vec<_>) = free.into_iter().partition(|k| !k.2);
         let pairs = forward.len().min(backward.len());

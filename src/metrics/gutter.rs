@@ -46,12 +46,19 @@ fn of_page(
         .map(|s| [s.width, s.height])
         .min_by_key(|s| u64::from(s[0]) * u64::from(s[1]));
     let size = smallest.or(otherwise).unwrap_or(atlas.sheets[page]);
-    // Texels four times as large that are far apart settle it at a fraction of the cost.
+    // Texels four times as large tell about how far to look at a fraction of the cost, and settle it where all are far apart.
     if size.iter().all(|s| s % COARSE == 0) {
-        let coarse =
-            smallest_gap(atlas, page, size.map(|s| s / COARSE), WIDEST / COARSE, TOUCH / f64::from(COARSE), cluster);
-        if coarse.is_some_and(|gap| gap * COARSE >= WIDEST) {
+        let size = size.map(|s| s / COARSE);
+        let gap = smallest_gap(atlas, page, size, WIDEST / COARSE, TOUCH / f64::from(COARSE), cluster)? * COARSE;
+        if gap >= WIDEST {
             return Some(WIDEST);
+        }
+        // Between large texels that are so far apart small ones are at most two large ones farther.
+        let widest = WIDEST.min(gap + 2 * COARSE);
+        let found = smallest_gap(atlas, page, size.map(|s| s * COARSE), widest, TOUCH, cluster)?;
+        // What touches a large texel may fall between small ones: then nothing is found so near.
+        if found < widest || widest == WIDEST {
+            return Some(found);
         }
     }
     smallest_gap(atlas, page, size, WIDEST, TOUCH, cluster)
@@ -66,11 +73,11 @@ fn smallest_gap(
     size: [u32; 2],
     widest: u32,
     touch: f64,
-    cluster: impl Fn(FaceId) -> u32 + Sync,
+    cluster: impl Fn(FaceId) -> u32 + Copy + Sync,
 ) -> Option<u32> {
     let bands = Bands::new(atlas, page, size, i64::from(widest))?;
     let best = AtomicU32::new(widest);
-    bands.par_iter().for_each(|band| grow(&band, size[0], touch, &cluster, &best));
+    bands.par_iter().for_each(|band| grow(&band, size[0], touch, cluster, &best));
     Some(best.into_inner())
 }
 

@@ -142,18 +142,16 @@ pub(crate) struct Totals {
     pub signal: Option<f64>,
 }
 
-/// The measures of an atlas. Indices must be in range and `frame.clusters` must belong to the charts of `atlas`.
-pub fn measure(atlas: &Atlas, frame: &Frame<'_>) -> Measures {
-    let topology = Topology::new(atlas);
-    let own_charts = Charts::new(&topology);
+/// The measures of an atlas with its topology and charts. Indices must be in range and `frame.clusters` must belong to the charts.
+pub fn measure(atlas: &Atlas, topology: &Topology, own_charts: &Charts, frame: &Frame<'_>) -> Measures {
     let mut totals = Totals { atlases: 1, triangles: atlas.face_count() as u64, ..Totals::default() };
-    charts::add(&mut totals, atlas, &own_charts);
-    coverage::add(&mut totals, atlas, &own_charts, frame.clusters);
-    boundary::add(&mut totals, atlas, &topology, frame.input.unwrap_or(atlas));
+    charts::add(&mut totals, atlas, own_charts);
+    coverage::add(&mut totals, atlas, own_charts, frame.clusters);
+    boundary::add(&mut totals, atlas, topology, frame.input.unwrap_or(atlas));
     totals.isometry = distortion::from_surface(atlas);
     totals.from_input = distortion::from_input(atlas, frame.input.unwrap_or(atlas));
     totals.density = density::of(atlas);
-    totals.gutter = gutter::of(atlas, &own_charts, frame.clusters, frame.slots, frame.smallest_slot);
+    totals.gutter = gutter::of(atlas, own_charts, frame.clusters, frame.slots, frame.smallest_slot);
     totals.resampled = frame.resampled_area.map(|f| f * totals.surface_area);
     totals.signal = frame.signal_error.map(|e| e * totals.surface_area);
     totals.slots = frame.slots.len();
@@ -318,9 +316,13 @@ mod tests {
     use glam::DVec2;
 
     fn measured(atlas: &Atlas, input: Option<&Atlas>, slots: &[SlotSize]) -> Measures {
-        let clusters = clusters(atlas, &Charts::new(&Topology::new(atlas)), OverlapMode::Stack);
+        let topology = Topology::new(atlas);
+        let charts = Charts::new(&topology);
+        let clusters = clusters(atlas, &charts, OverlapMode::Stack);
         measure(
             atlas,
+            &topology,
+            &charts,
             &Frame { input, clusters: &clusters, slots, smallest_slot: None, resampled_area: None, signal_error: None },
         )
     }

@@ -7,8 +7,9 @@ use rayon::prelude::*;
 
 use crate::atlas::{Atlas, FaceId};
 
-/// Rows of one band.
-const ROWS: i64 = 512;
+/// Rows of one band, without margins, and rows by row of margin: what is kept of them stays in a core's cache, and margins are few.
+const ROWS: i64 = 128;
+const ROWS_BY_MARGIN: i64 = 8;
 /// Rows of triangles that one sheet may cost; beyond, figures are not defined rather than late.
 const BUDGET: f64 = 2e9;
 
@@ -37,8 +38,9 @@ impl<'a> Bands<'a> {
         let scale = DVec2::new(f64::from(size[0]), f64::from(size[1]))
             / DVec2::new(f64::from(sheet[0].max(1)), f64::from(sheet[1].max(1)));
         let height = i64::from(size[1]);
-        let count = (height + ROWS - 1) / ROWS;
-        let rows = |i: i64| (i * ROWS - margin).max(0)..((i + 1) * ROWS + margin).min(height);
+        let own = ROWS.max(ROWS_BY_MARGIN * margin);
+        let count = (height + own - 1) / own;
+        let rows = |i: i64| (i * own - margin).max(0)..((i + 1) * own + margin).min(height);
         let mut bands: Vec<(Range<i64>, Vec<FaceId>)> = (0..count).map(|i| (rows(i), Vec::new())).collect();
         let mut cost = 0.0;
         for f in atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page) {
@@ -49,8 +51,8 @@ impl<'a> Bands<'a> {
             }
             let (low, high) = (low.max(0.0), high.min(height as f64));
             cost += high - low + 1.0;
-            let first = ((low as i64 - margin) / ROWS).max(0);
-            let last = ((high as i64 + margin) / ROWS).min(count - 1);
+            let first = ((low as i64 - margin) / own).max(0);
+            let last = ((high as i64 + margin) / own).min(count - 1);
             for i in first..=last {
                 bands[i as usize].1.push(f);
             }

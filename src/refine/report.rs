@@ -139,9 +139,10 @@ pub(super) fn report(
 fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasReport {
     let set = r.group.set();
     let of = |atlas: &Atlas, frame: Frame<'_>| {
-        let charts = Charts::new(&Topology::new(atlas));
+        let topology = Topology::new(atlas);
+        let charts = Charts::new(&topology);
         let clusters = clusters(atlas, &charts, OverlapMode::Stack);
-        measure(atlas, &Frame { clusters: &clusters, ..frame })
+        measure(atlas, &topology, &charts, &Frame { clusters: &clusters, ..frame })
     };
     let none = Clusters::default();
     let frame = Frame {
@@ -152,14 +153,12 @@ fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasRepo
         resampled_area: None,
         signal_error: None,
     };
-    let before = of(&set.atlas, frame);
-    let after = match r.kept {
-        true => Measures { resampled_area: refined.then_some(0.0), ..before.clone() },
-        false => {
-            let (input, resampled_area) = (Some(&set.atlas), r.resampled_area());
-            of(&r.atlas, Frame { input, slots: &r.sizes_after(loaded), smallest_slot: None, resampled_area, ..frame })
-        }
+    let changed = || {
+        let (input, resampled_area) = (Some(&set.atlas), r.resampled_area());
+        of(&r.atlas, Frame { input, slots: &r.sizes_after(loaded), smallest_slot: None, resampled_area, ..frame })
     };
+    let (before, after) = rayon::join(|| of(&set.atlas, frame), || (!r.kept).then(changed));
+    let after = after.unwrap_or_else(|| Measures { resampled_area: refined.then_some(0.0), ..before.clone() });
     let mut models: Vec<u64> = r.group.members.iter().map(|m| m.model as u64).collect();
     models.dedup();
     AtlasReport {

@@ -124,7 +124,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
     fn runs<'b>(&'b self, owners: &'b [u32]) -> impl Iterator<Item = Run> + 'b {
         let map_of = |owner: u32| if owner == NOBODY { Maps::NONE } else { self.maps.of_face[owner as usize] };
         let mut x = 0;
-        owners.chunk_by(move |a, b| map_of(*a) == map_of(*b)).filter_map(move |run| {
+        owners.chunk_by(move |a, b| a == b || map_of(*a) == map_of(*b)).filter_map(move |run| {
             let columns = x..x + run.len();
             x = columns.end;
             let map = map_of(*run.first()?) as usize;

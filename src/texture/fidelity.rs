@@ -175,28 +175,47 @@ impl Mip {
     }
 
     fn of<T: Depth>(samples: &[T], image: &Image) -> Self {
-        let (full, channels) = ([image.width as usize, image.height as usize], usize::from(image.channels));
+        let full = [image.width as usize, image.height as usize];
         let size = full.map(|n| (n / 4).max(1));
-        let range = |i: usize, axis: usize| i * full[axis] / size[axis]..((i + 1) * full[axis]).div_ceil(size[axis]);
-        let mut texels = vec![[0.0; 4]; size[0] * size[1]];
-        texels.par_chunks_mut(size[0]).with_min_len(16).enumerate().for_each(|(y, row)| {
-            let lines = range(y, 1);
-            for (x, out) in row.iter_mut().enumerate() {
-                let columns = range(x, 0);
-                let mut sum = [0u64; 4];
-                for line in lines.clone() {
-                    let start = line * full[0];
-                    let run = &samples[(start + columns.start) * channels..(start + columns.end) * channels];
-                    for texel in run.chunks_exact(channels) {
-                        sum.iter_mut().zip(texel).for_each(|(s, v)| *s += u64::from(v.value()));
-                    }
-                }
-                let whole = (lines.len() * columns.len()) as f64 * f64::from(T::MAX);
-                *out = sum.map(|s| (s as f64 / whole) as f32);
-            }
-        });
+        let texels = match image.channels {
+            1 => means::<T, 1>(samples, full, size),
+            2 => means::<T, 2>(samples, full, size),
+            3 => means::<T, 3>(samples, full, size),
+            _ => means::<T, 4>(samples, full, size),
+        };
         Mip { size: size.map(|n| n as i64), texels }
     }
+}
+
+/// The means over what each texel of an image of `size` covers of one of `full` texels of `C` channels.
+fn means<T: Depth, const C: usize>(samples: &[T], full: [usize; 2], size: [usize; 2]) -> Vec<[f32; 4]> {
+    let range = |i: usize, axis: usize| i * full[axis] / size[axis]..((i + 1) * full[axis]).div_ceil(size[axis]);
+    let mut texels = vec![[0.0; 4]; size[0] * size[1]];
+    texels.par_chunks_mut(size[0]).with_min_len(16).enumerate().for_each(|(y, row)| {
+        let rows = range(y, 1);
+        let lines = samples[rows.start * full[0] * C..rows.end * full[0] * C].chunks_exact(full[0] * C);
+        let mut sums = vec![[0u32; C]; size[0]];
+        for line in lines {
+            // Nearly always four texels each; else they may share one.
+            if full[0] == 4 * size[0] {
+                for (sum, run) in sums.iter_mut().zip(line.chunks_exact(4 * C)) {
+                    (0..4 * C).for_each(|i| sum[i % C] += run[i].value());
+                }
+            } else {
+                for (x, sum) in sums.iter_mut().enumerate() {
+                    let columns = range(x, 0);
+                    for texel in line[columns.start * C..columns.end * C].chunks_exact(C) {
+                        (0..C).for_each(|c| sum[c] += texel[c].value());
+                    }
+                }
+            }
+        }
+        for (x, (out, sum)) in row.iter_mut().zip(&sums).enumerate() {
+            let whole = (rows.len() * range(x, 0).len()) as f64 * f64::from(T::MAX);
+            out.iter_mut().zip(sum).for_each(|(o, s)| *o = (f64::from(*s) / whole) as f32);
+        }
+    });
+    texels
 }
 
 impl Texels for Mip {

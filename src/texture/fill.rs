@@ -21,21 +21,19 @@ struct Level<const C: usize> {
 }
 
 impl<const C: usize> Level<C> {
-    /// The next level, half as large. `sum` adds up the texels below in a range of texels: their weighted values, their weights.
-    fn above(width: usize, height: usize, sum: impl Fn(std::ops::Range<usize>) -> ([f32; C], f32) + Sync) -> Self {
+    /// The next level, half as large. `below` gives a texel of the level below: its weighted value, its weight.
+    fn above(width: usize, height: usize, below: impl Fn(usize) -> ([f32; C], f32) + Sync) -> Self {
         let (w, h) = (width.div_ceil(2), height.div_ceil(2));
         let mut texels = vec![([0.0; C], 0.0); w * h];
         texels.par_chunks_mut(w).with_min_len(ROWS).enumerate().for_each(|(y, row)| {
+            let pair = |at: usize, both: bool| if both { sum(below(at), below(at + 1)) } else { below(at) };
             for (x, out) in row.iter_mut().enumerate() {
-                let columns = 2 * x..(2 * x + 2).min(width);
-                let start = 2 * y * width;
-                let (mut value, mut weight) = sum(start + columns.start..start + columns.end);
+                let (at, both) = (2 * y * width + 2 * x, 2 * x + 1 < width);
+                let mut all = pair(at, both);
                 if 2 * y + 1 < height {
-                    let start = start + width;
-                    let (more, known) = sum(start + columns.start..start + columns.end);
-                    value.iter_mut().zip(more).for_each(|(v, m)| *v += m);
-                    weight += known;
+                    all = sum(all, pair(at + width, both));
                 }
+                let (value, weight) = all;
                 if weight > 0.0 {
                     *out = (value.map(|v| v / weight), weight.min(1.0));
                 }
@@ -44,17 +42,8 @@ impl<const C: usize> Level<C> {
         Level { width: w, height: h, texels }
     }
 
-    fn sum(&self, range: std::ops::Range<usize>) -> ([f32; C], f32) {
-        let mut sum = ([0.0; C], 0.0);
-        for (value, weight) in &self.texels[range] {
-            sum.0.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
-            sum.1 += weight;
-        }
-        sum
-    }
-
-    #[inline]
     /// Bilinear value of this level at a texel of the level below.
+    #[inline]
     fn below(&self, x: usize, y: usize) -> [f32; C] {
         // The near texel has 3/4 of the weight, the one on the other side of the half 1/4.
         let other = |i: usize, size: usize| {
@@ -71,6 +60,11 @@ impl<const C: usize> Level<C> {
     }
 }
 
+#[inline]
+fn sum<const C: usize>(a: ([f32; C], f32), b: ([f32; C], f32)) -> ([f32; C], f32) {
+    (std::array::from_fn(|c| a.0[c] + b.0[c]), a.1 + b.1)
+}
+
 /// Fills the texels of a `width`-wide image for which `known` is 0. An image without a known texel becomes black (opaque), or flat.
 pub(crate) fn fill<T: Depth, const C: usize>(
     texels: &mut [T],
@@ -85,19 +79,16 @@ pub(crate) fn fill<T: Depth, const C: usize>(
     }
     context.check()?;
     let pixels = &*texels;
-    let mut pyramid = vec![Level::<C>::above(width, height, |range| {
-        let mut sum = ([0.0; C], 0.0);
-        for (texel, known) in pixels[range.start * C..range.end * C].chunks_exact(C).zip(&known[range]) {
-            if *known != 0 {
-                sum.0.iter_mut().zip(codec.decode::<C>(texel)).for_each(|(s, v)| *s += v);
-                sum.1 += 1.0;
-            }
-        }
-        sum
+    let mut pyramid = vec![Level::<C>::above(width, height, |i| match known[i] {
+        0 => ([0.0; C], 0.0),
+        _ => (codec.decode::<C>(&pixels[i * C..(i + 1) * C]), 1.0),
     })];
     while let Some(level) = pyramid.last().filter(|l| l.width > 1 || l.height > 1) {
         context.check()?;
-        pyramid.push(Level::above(level.width, level.height, |range| level.sum(range)));
+        pyramid.push(Level::above(level.width, level.height, |i| {
+            let (value, weight) = level.texels[i];
+            (value.map(|v| weight * v), weight)
+        }));
     }
     if let Some((value, weight)) = pyramid.last_mut().and_then(|top| top.texels.first_mut())
         && *weight == 0.0
@@ -110,10 +101,10 @@ pub(crate) fn fill<T: Depth, const C: usize>(
         let (lower, upper) = pyramid.split_at_mut(l + 1);
         let (Some(level), Some(above)) = (lower.last_mut(), upper.first()) else { continue };
         let w = level.width;
-        level.texels.par_chunks_mut(w * ROWS).enumerate().for_each(|(task, rows)| {
-            for (i, (value, weight)) in rows.iter_mut().enumerate() {
+        level.texels.par_chunks_mut(w).with_min_len(ROWS).enumerate().for_each(|(y, row)| {
+            for (x, (value, weight)) in row.iter_mut().enumerate() {
                 if *weight < 1.0 {
-                    let pushed = above.below(i % w, task * ROWS + i / w);
+                    let pushed = above.below(x, y);
                     value.iter_mut().zip(pushed).for_each(|(v, p)| *v = *weight * *v + (1.0 - *weight) * p);
                 }
             }
@@ -121,11 +112,11 @@ pub(crate) fn fill<T: Depth, const C: usize>(
     }
     context.check()?;
     let Some(first) = pyramid.first() else { return Ok(()) };
-    let tasks = texels.par_chunks_mut(width * ROWS * C).zip(known.par_chunks(width * ROWS)).enumerate();
-    tasks.for_each(|(task, (rows, known))| {
-        for (i, (texel, known)) in rows.chunks_exact_mut(C).zip(known).enumerate() {
+    let rows = texels.par_chunks_mut(width * C).zip(known.par_chunks(width)).with_min_len(ROWS).enumerate();
+    rows.for_each(|(y, (row, known))| {
+        for (x, (texel, known)) in row.chunks_exact_mut(C).zip(known).enumerate() {
             if *known == 0 {
-                codec.encode::<C>(first.below(i % width, task * ROWS + i / width), texel);
+                codec.encode::<C>(first.below(x, y), texel);
             }
         }
     });

@@ -34,7 +34,8 @@ fn difficult_models() {
 /// Models made by code are there when no others are.
 #[test]
 fn samples_are_read_by_others() {
-    for name in names() {
+    // The larger scans are the smallest once more.
+    for name in names().iter().filter(|n| !n.starts_with("scan_")) {
         let glb = sample(name).expect("a sample");
         let path = written(&format!("sample-{name}.before"), &glb);
         let files = vec![File { path: "sample.glb".to_owned(), bytes: glb.clone() }];

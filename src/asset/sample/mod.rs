@@ -4,6 +4,7 @@ mod lumpy;
 mod paint;
 mod parts;
 mod random;
+mod scan;
 mod scene;
 mod surface;
 
@@ -11,7 +12,7 @@ use crate::error::{Code, Failure, Result};
 
 type Maker = fn() -> scene::Scene;
 
-const SAMPLES: [(&str, Maker); 8] = [
+const SAMPLES: [(&str, Maker); 11] = [
     ("textured", lumpy::textured),
     ("fragmented", lumpy::fragmented),
     ("overlapping", lumpy::overlapping),
@@ -20,6 +21,9 @@ const SAMPLES: [(&str, Maker); 8] = [
     ("quantized", lumpy::quantized),
     ("strips", parts::strips),
     ("two_materials", lumpy::two_materials),
+    ("scan", scan::few),
+    ("scan_2000", scan::many),
+    ("scan_10000", scan::very_many),
 ];
 
 /// The names that [`sample`] knows; the first is the one to start with.
@@ -46,6 +50,9 @@ pub fn names() -> &'static [&'static str] {
 /// * `quantized`: KHR_mesh_quantization, interleaved.
 /// * `strips`: a triangle strip over a sparse accessor, and a fan.
 /// * `two_materials`: two texture sets, and a primitive without UVs.
+/// * `scan`, `scan_2000`, `scan_10000`: some 500, 2,000 and 10,000 ragged charts of some 20 faces as photogrammetry makes
+///   them, each as a camera sees it, with islands and holes; and what is wrong with scans: edges with three faces, faces wound
+///   the other way round or without area, vertices in several copies.
 ///
 /// # Errors
 /// `invalid_options` when there is no sample of that name.

@@ -237,7 +237,7 @@ fn place(out: &mut Unwrapped, charts: usize, slack: f64, random: &mut Random) {
 }
 
 /// Tangents along +u, at right angles to the normals. The bitangent runs against v, which points down.
-fn tangents(out: &Unwrapped) -> Vec<(DVec3, f64)> {
+pub(crate) fn tangents(out: &Unwrapped) -> Vec<(DVec3, f64)> {
     let mut along = vec![DVec3::ZERO; out.positions.len()];
     let mut sign = vec![1.0; out.positions.len()];
     for triangle in &out.triangles {

@@ -3,7 +3,10 @@
 use glam::{DVec2, DVec3};
 
 use super::*;
-use crate::asset::{Document, File, Limits, load, read_indices, read_vec2, read_vec3, read_vec4};
+use crate::asset::{Document, File, Limits, load, read, read_indices, read_vec2, read_vec3, read_vec4};
+use crate::atlas::{Atlas, Charts, Loops, Topology};
+use crate::context::Context;
+use crate::refine::options::AtlasOptions;
 
 fn open(name: &str) -> Document {
     let glb = sample(name).unwrap();
@@ -103,4 +106,62 @@ fn the_others_have_what_they_are_for() {
     let doc = open("two_materials");
     assert!(doc.json["meshes"][0]["primitives"][2]["attributes"].get("TEXCOORD_0").is_none());
     assert_eq!(doc.images.len(), 2);
+}
+
+fn atlas(name: &str) -> Atlas {
+    let (doc, _) =
+        load(&[File { path: "scan.glb".to_owned(), bytes: sample(name).unwrap() }], None, &Limits::default()).unwrap();
+    let mut sets = read(&doc, &AtlasOptions::default(), &Context::silent()).unwrap();
+    assert_eq!(sets.len(), 1);
+    sets.remove(0).atlas
+}
+
+#[test]
+fn scans_have_as_many_charts_as_they_say() {
+    for (name, count) in [("scan", 500), ("scan_2000", 2000), ("scan_10000", 10_000)] {
+        let atlas = atlas(name);
+        let charts = Charts::new(&Topology::new(&atlas)).len();
+        assert!(charts.abs_diff(count) < count / 10, "{name}: {charts}");
+        assert!((18..23).contains(&(atlas.face_count() / charts)), "{name}: {}", atlas.face_count());
+    }
+}
+
+/// What makes a scan hard to refine is there, and no more of it than scans have.
+#[test]
+fn a_scan_has_islands_holes_and_faults() {
+    let atlas = atlas("scan");
+    let topology = Topology::new(&atlas);
+    let charts = Charts::new(&topology);
+    let small = charts.faces.iter().filter(|faces| faces.len() <= 3).count();
+    assert!((charts.len() / 4..charts.len() / 2).contains(&small), "{small}");
+    let loops = Loops::new(&topology, &charts);
+    let mut count = vec![0; charts.len()];
+    loops.chart.iter().for_each(|chart| count[chart.index()] += 1);
+    assert!(count.iter().filter(|n| **n > 1).count() >= 8, "charts with holes");
+    assert!(topology.non_manifold_edges >= 4);
+    let flat: Vec<_> = atlas.faces().filter(|f| atlas.uv_area(*f) == 0.0).collect();
+    assert!(flat.len() >= 6 && flat.iter().all(|f| atlas.area(*f) == 0.0), "faces without area");
+    let mut turned = 0;
+    let mut densities = Vec::new();
+    for faces in &charts.faces {
+        let (area, uv_area): (f64, f64) =
+            faces.iter().map(|f| (atlas.area(*f), atlas.uv_area(*f))).fold((0.0, 0.0), |s, a| (s.0 + a.0, s.1 + a.1));
+        turned += faces.iter().filter(|f| atlas.uv_area(**f) * uv_area < 0.0).count();
+        if faces.len() > 10 {
+            densities.push((uv_area.abs() / area).sqrt());
+        }
+    }
+    assert!((5..40).contains(&turned), "{turned}");
+    let [low, high] =
+        [f64::min, f64::max].map(|pick: fn(f64, f64) -> f64| densities.iter().copied().reduce(pick).unwrap());
+    assert!(high / low > 1.5 && low > 30.0, "{low} to {high} texels by unit");
+    let doc = open("scan");
+    let positions = read_vec3(&doc, accessor(&doc, 0, "POSITION")).unwrap();
+    let uvs = read_vec2(&doc, accessor(&doc, 0, "TEXCOORD_0")).unwrap();
+    let mut vertices: Vec<_> =
+        positions.iter().zip(&uvs).map(|(p, uv)| (p.map(f32::to_bits), uv.map(f32::to_bits))).collect();
+    vertices.sort_unstable();
+    let all = vertices.len();
+    vertices.dedup();
+    assert!(all - vertices.len() > 50, "vertices in several copies");
 }
