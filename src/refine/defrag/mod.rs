@@ -153,18 +153,19 @@ fn merge_charts(
         }
     }
     if std::env::var("DBG2").is_ok() {
-        for (c, chart) in mesh.charts.iter().enumerate().filter(|(_, c)| !c.faces.is_empty()) {
-            let mut all: Vec<String> = Vec::new();
-            for e in &queue.entries {
-                if (e.op.kept == c as u32 || e.op.moved == c as u32) && e.standing != queue::Standing::Gone {
-                    let reason = e.known.as_ref().map(|k| format!("{:?}", k.0.outcome.as_ref().err())).unwrap_or_default();
-                    all.push(format!("{:?}:{}e {} b{:.2} f{} cost {:.2} {:?}", e.op.kind, e.op.edges.len(), reason, e.op.benefit(&mesh), e.op.fails, e.op.cost, e.standing));
-                }
-            }
-            let links = chart.faces.iter().flat_map(|f| 3 * f..3 * f + 3).filter(|h| mesh.twin[*h as usize] == crate::atlas::NONE).count();
-            let linked = chart.faces.iter().flat_map(|f| 3 * f..3 * f + 3).filter(|h| mesh.link[*h as usize] != crate::atlas::NONE).count();
-            if chart.faces.len() < 300 { eprintln!("chart {c} faces {} area {:.1} sound {} border {} linked {} | {}", chart.faces.len(), chart.area, chart.sound, links, linked, all.join(" | ")); }
+        let mut rows: Vec<(f64, String)> = Vec::new();
+        for ((a, b), edges) in mesh.links() {
+            let length: f64 = edges.iter().map(|&h| mesh.length(h)).sum();
+            let ops: Vec<String> = queue.entries.iter().filter(|e| e.standing != queue::Standing::Gone && (e.op.kept.min(e.op.moved), e.op.kept.max(e.op.moved)) == (a, b)).map(|e| {
+                let reason = e.known.as_ref().map(|k| format!("{:?}", k.0.outcome.as_ref().err())).unwrap_or_default();
+                format!("{:?}:{}e {} b{:.2} f{} cost {:.1} {:?}", e.op.kind, e.op.edges.len(), reason, e.op.benefit(&mesh), e.op.fails, e.op.cost, e.standing)
+            }).collect();
+            rows.push((length, format!("{a}({}f {:.0}) {b}({}f {:.0}) edges {} length {length:.0} | {}", mesh.charts[a as usize].faces.len(), mesh.charts[a as usize].area, mesh.charts[b as usize].faces.len(), mesh.charts[b as usize].area, edges.len(), ops.join(" | "))));
         }
+        rows.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let all: f64 = rows.iter().map(|r| r.0).sum();
+        eprintln!("all {all:.0}");
+        for (_, r) in rows.iter().take(14) { eprintln!("{}", r.chars().take(420).collect::<String>()); }
     }
     let total: f64 = mesh.energy.iter().sum();
     let failures: Map<String, Value> =
