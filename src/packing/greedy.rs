@@ -100,7 +100,7 @@ impl<'a> Table<'a> {
         if x.0 > x_last || y.0 > y_last {
             return None;
         }
-        let window = Window { x: (x.0, x_last), y: (y.0, y_last), stride: self.shapes.stride, phase: 0 };
+        let window = Window { x: (x.0, x_last), y: (y.0, y_last) };
         let (found, words) = self.sheet.find(&shape.probe, window);
         *work += words;
         found.map(|(x, y)| Spot { orientation: orientation as u32, x: x as u32, y: y as u32 })

@@ -91,6 +91,11 @@ impl Mask {
         &self.bits[row * self.words..(row + 1) * self.words]
     }
 
+    /// Words of a row, to change.
+    pub fn row_mut(&mut self, row: usize) -> &mut [u64] {
+        &mut self.bits[row * self.words..(row + 1) * self.words]
+    }
+
     /// Whether a cell is set.
     pub fn get(&self, x: usize, y: usize) -> bool {
         self.row(y)[x / 64] >> (x % 64) & 1 == 1

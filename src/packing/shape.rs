@@ -32,8 +32,6 @@ pub(crate) struct Shapes {
     pub cell: f64,
     /// Gutter in cells.
     pub gutter: usize,
-    /// Positions are multiples of this many cells.
-    pub stride: usize,
     /// By piece, by orientation. Shared, so that a search that changes few pieces keeps the others.
     pub of_piece: Vec<Arc<Vec<Shape>>>,
     /// How sheets of this resolution lie in memory.
@@ -61,7 +59,7 @@ impl Shapes {
             })
             .collect();
         let longest_run = masks.iter().flatten().map(|(mask, ..)| mask.width + 2 * gutter).max().unwrap_or(1);
-        let pitch = Pitch::new((widest / cell).ceil() as usize + 2 * gutter + 1, longest_run);
+        let pitch = Pitch::new((widest / cell).ceil() as usize + 2 * gutter + 1, longest_run, stride);
         let of_piece = masks
             .into_par_iter()
             .map(|own| {
@@ -72,7 +70,7 @@ impl Shapes {
                 Arc::new(own.into_par_iter().map(shape).collect())
             })
             .collect();
-        Shapes { cell, gutter, stride, of_piece, pitch }
+        Shapes { cell, gutter, of_piece, pitch }
     }
 }
 

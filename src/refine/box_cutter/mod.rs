@@ -273,7 +273,7 @@ fn sheet(panels: &[std::sync::Arc<panel::Panel>], frame: &Frame, options: &Optio
     let raster = Raster {
         cell,
         inflate: gutter / 2.0,
-        pitch: Pitch::new(widest, widest),
+        pitch: Pitch::new(widest, widest, 1),
         rotation: options.pack.rotation,
         mirror: options.pack.mirror,
     };
