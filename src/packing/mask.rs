@@ -124,6 +124,17 @@ impl Mask {
         runs
     }
 
+    /// Each `size` rows as one row, with the cells that are set in all of them.
+    pub fn bands(&self, size: usize) -> Mask {
+        let mut bands = Mask::new(self.width, self.height / size);
+        for (band, line) in bands.bits.chunks_exact_mut(self.words).enumerate() {
+            for (i, word) in line.iter_mut().enumerate() {
+                *word = (band * size..(band + 1) * size).fold(!0, |bits, row| bits & self.row(row)[i]);
+            }
+        }
+        bands
+    }
+
     /// Every cell within `margin` cells (Chebyshev) of a set one; the result is larger by `margin` on each side.
     pub fn dilated(&self, margin: usize) -> Mask {
         if margin == 0 {

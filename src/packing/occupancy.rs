@@ -3,7 +3,8 @@
 //! Level k of the sheet holds, for each cell, whether any of the 2^k cells from it to the right is taken.
 //! A run of cells is then tested for 64 positions in a row with two shifted words, whatever its length.
 //! Where positions are multiples of a stride, each level is dealt out to as many planes, cell x to bit x / stride of plane
-//! x % stride: the 64 positions of a word then reach over 64 strides.
+//! x % stride: the 64 positions of a word then reach over 64 strides. The rows between two positions are also kept joined to one
+//! band, where few tests tell most positions that are not free.
 
 use super::mask::Mask;
 
@@ -37,6 +38,26 @@ impl Pitch {
     fn plane(self, x: usize) -> (usize, usize) {
         (x % self.stride * self.words, x / self.stride)
     }
+
+    /// Recomputes the higher levels of a row for cells that can see `from..to`.
+    fn lift(self, line: &mut [u64], (from, to): (usize, usize)) {
+        let Pitch { words, stride, levels } = self;
+        let last = (to / stride / 64).min(words - 1);
+        for k in 1..levels {
+            let step = 1usize << (k - 1);
+            let first = from.saturating_sub(2 * step) / stride / 64;
+            let (below, above) = line.split_at_mut(k * stride * words);
+            let below = &below[(k - 1) * stride * words..];
+            for plane in 0..stride {
+                let source = &below[plane * words..][..words];
+                let (other, by) = self.plane(plane + step);
+                let other = &below[other..][..words];
+                for (i, word) in above[plane * words..][..words].iter_mut().enumerate().take(last + 1).skip(first) {
+                    *word = source[i] | shifted(other, i, by);
+                }
+            }
+        }
+    }
 }
 
 /// A piece's mask prepared for searching: its runs, each as two look-ups on a level.
@@ -45,6 +66,8 @@ pub(crate) struct Probe {
     pub width: usize,
     pub height: usize,
     tests: Vec<Test>,
+    /// Runs of whole bands.
+    bands: Vec<Test>,
     /// Rows of the longest runs and their lengths: a row of the sheet without so much room is out.
     widest: Vec<(u32, u32)>,
 }
@@ -57,6 +80,10 @@ struct Test {
     shifts: [u8; 2],
 }
 
+/// Runs so many rows apart collide independently of each other.
+const REACH: u32 = 16;
+/// How many runs are chosen with regard to those before them.
+const SPREAD: usize = 8;
 /// How many of the longest runs are held against the room that rows have.
 const WIDEST: usize = 12;
 
@@ -66,20 +93,29 @@ impl Probe {
         let mut runs = mask.runs();
         runs.sort_unstable_by_key(|&(row, first, last)| (std::cmp::Reverse(last - first), row, first));
         let widest = runs.iter().take(WIDEST).map(|&(row, first, last)| (row, last - first + 1)).collect();
-        let tests = runs
-            .into_iter()
-            .map(|(row, first, last)| {
-                let level = (last - first + 1).ilog2();
-                let base = row as usize * pitch.row() + level as usize * pitch.level();
-                let [first, second] = [first, last + 1 - (1 << level)].map(|x| pitch.plane(x as usize));
-                Test {
-                    first: (base + first.0 + first.1 / 64) as u32,
-                    second: (base + second.0 + second.1 / 64) as u32,
-                    shifts: [(first.1 % 64) as u8, (second.1 % 64) as u8],
-                }
-            })
-            .collect();
-        Probe { width: mask.width, height: mask.height, tests, widest }
+        let mut bands = if pitch.stride > 1 { mask.bands(pitch.stride).runs() } else { Vec::new() };
+        spread(&mut bands, (REACH / pitch.stride as u32).max(1));
+        spread(&mut runs, REACH);
+        let tests = |runs: Vec<(u32, u32, u32)>| {
+            runs.into_iter().map(|(row, first, last)| Test::new(row as usize, first, last, pitch)).collect()
+        };
+        Probe { width: mask.width, height: mask.height, tests: tests(runs), bands: tests(bands), widest }
+    }
+}
+
+/// Puts first those runs that collide where the ones before them do not: long ones far from each other.
+fn spread(runs: &mut [(u32, u32, u32)], reach: u32) {
+    let mut distance = vec![reach; runs.len()];
+    for done in 0..runs.len().min(SPREAD) {
+        let worth = |k: &usize| (runs[*k].2 - runs[*k].1 + 1) * distance[*k];
+        // The first of equals.
+        let Some(next) = (done..runs.len()).rev().max_by_key(worth) else { return };
+        runs[done..=next].rotate_right(1);
+        distance[done..=next].rotate_right(1);
+        let row = runs[done].0;
+        for (run, least) in runs.iter().zip(&mut distance).skip(done + 1) {
+            *least = (*least).min(run.0.abs_diff(row));
+        }
     }
 }
 
@@ -99,6 +135,8 @@ pub(crate) struct Occupancy {
     bits: Vec<u64>,
     /// The same cells row by row in their order, where there are several planes.
     cells: Option<Mask>,
+    /// There, each `stride` rows as one.
+    bands: Vec<u64>,
     /// By row: an upper bound of the longest run of free cells.
     room: Vec<u32>,
 }
@@ -110,12 +148,13 @@ impl Occupancy {
         // Two spare words, so that shifted reads stay inside.
         let bits = vec![0; pitch.row() * height + 2];
         let cells = (pitch.stride > 1).then(|| Mask::new(width, height));
-        Occupancy { width, height, pitch, bits, cells, room: vec![width as u32; height] }
+        let bands = if pitch.stride > 1 { pitch.row() * (height / pitch.stride) + 2 } else { 0 };
+        Occupancy { width, height, pitch, bits, cells, bands: vec![0; bands], room: vec![width as u32; height] }
     }
 
     /// What making one costs, in the unit of [`Occupancy::find`]: clearing a word is cheap.
     pub fn cost(&self) -> u64 {
-        self.bits.len() as u64 / 16
+        (self.bits.len() + self.bands.len()) as u64 / 16
     }
 
     /// Takes (or frees) the cells of a mask placed at `(x, y)`. Gives the work, in the unit of [`Occupancy::find`].
@@ -147,33 +186,34 @@ impl Occupancy {
                 }
             }
         }
-        for row in y..y + mask.height {
-            self.lift(row, x, x + mask.width);
+        let (size, touched) = (self.pitch.row(), (x, x + mask.width));
+        for line in self.bits[y * size..(y + mask.height) * size].chunks_exact_mut(size) {
+            self.pitch.lift(line, touched);
+        }
+        if self.cells.is_some() {
+            let stride = self.pitch.stride;
+            for band in y / stride..(y + mask.height).div_ceil(stride).min(self.height / stride) {
+                self.join(band, touched);
+            }
         }
         // Of each row: the free runs of all of it, and every level about the mask.
         let levels = (self.pitch.levels + 1) * (mask.width / 64 + 2);
         (mask.height * (self.width / 64 + 2 + levels) / 2) as u64
     }
 
-    /// Recomputes the levels of a row for cells that can see `from..to`.
-    fn lift(&mut self, row: usize, from: usize, to: usize) {
+    /// Recomputes a band for cells that can see `touched`.
+    fn join(&mut self, band: usize, touched: (usize, usize)) {
         let Pitch { words, stride, .. } = self.pitch;
-        let last = (to / stride / 64).min(words - 1);
-        let line = &mut self.bits[row * self.pitch.row()..][..self.pitch.row()];
-        for k in 1..self.pitch.levels {
-            let step = 1usize << (k - 1);
-            let first = from.saturating_sub(2 * step) / stride / 64;
-            let (below, above) = line.split_at_mut(k * stride * words);
-            let below = &below[(k - 1) * stride * words..];
-            for plane in 0..stride {
-                let source = &below[plane * words..][..words];
-                let (other, by) = self.pitch.plane(plane + step);
-                let other = &below[other..][..words];
-                for (i, word) in above[plane * words..][..words].iter_mut().enumerate().take(last + 1).skip(first) {
-                    *word = source[i] | shifted(other, i, by);
-                }
+        let size = self.pitch.row();
+        let line = &mut self.bands[band * size..][..size];
+        let rows = &self.bits[band * stride * size..][..stride * size];
+        let last = (touched.1 / stride / 64).min(words - 1);
+        for plane in 0..stride {
+            for i in plane * words + touched.0 / stride / 64..=plane * words + last {
+                line[i] = (0..stride).fold(0, |bits, row| bits | rows[row * size + i]);
             }
         }
+        self.pitch.lift(line, touched);
     }
 
     /// The first free position in the window, rows from the top, cells from the left, and the number of words
@@ -198,7 +238,7 @@ impl Occupancy {
         let low = !0u64 << (x_first % 64);
         let high = !0u64 >> (63 - x_last % 64);
         // What collided at one word is likely to collide at the next too.
-        let mut hint = 0;
+        let mut hints = [0; 2];
         for y in (window.y.0.next_multiple_of(stride)..=y_last).step_by(stride) {
             work += 1;
             if probe.widest.iter().any(|&(row, run)| self.room[y + row as usize] < run) {
@@ -212,24 +252,16 @@ impl Occupancy {
                 if i == word_last {
                     free &= high;
                 }
-                let here = &self.bits[y * self.pitch.row() + i..];
                 work += 1;
-                if let Some(test) = probe.tests.get(hint) {
-                    free &= !test.taken(here);
-                }
+                let row = self.pitch.row();
+                let bands = self.bands.get(y / stride * row + i..).unwrap_or_default();
+                free = narrowed(free, &probe.bands, bands, &mut hints[0], &mut work);
                 if free == 0 {
                     continue;
                 }
-                for (n, test) in probe.tests.iter().enumerate() {
-                    free &= !test.taken(here);
-                    if free == 0 {
-                        work += n as u64;
-                        hint = n;
-                        break;
-                    }
-                }
+                free = narrowed(free, &probe.tests, &self.bits[y * row + i..], &mut hints[1], &mut work);
                 if free != 0 {
-                    return (Some(((i * 64 + free.trailing_zeros() as usize) * stride, y)), work + probe.tests.len() as u64);
+                    return (Some(((i * 64 + free.trailing_zeros() as usize) * stride, y)), work);
                 }
             }
         }
@@ -237,7 +269,39 @@ impl Occupancy {
     }
 }
 
+/// Those of the free positions at which no run meets a taken cell. `hint` is the run that left none the last time.
+#[inline(always)]
+fn narrowed(mut free: u64, tests: &[Test], here: &[u64], hint: &mut usize, work: &mut u64) -> u64 {
+    if let Some(test) = tests.get(*hint) {
+        free &= !test.taken(here);
+    }
+    if free == 0 {
+        return 0;
+    }
+    for (n, test) in tests.iter().enumerate() {
+        free &= !test.taken(here);
+        if free == 0 {
+            *work += n as u64;
+            *hint = n;
+            return 0;
+        }
+    }
+    *work += tests.len() as u64;
+    free
+}
+
 impl Test {
+    fn new(row: usize, first: u32, last: u32, pitch: Pitch) -> Self {
+        let level = (last - first + 1).ilog2();
+        let base = row * pitch.row() + level as usize * pitch.level();
+        let [first, second] = [first, last + 1 - (1 << level)].map(|x| pitch.plane(x as usize));
+        Test {
+            first: (base + first.0 + first.1 / 64) as u32,
+            second: (base + second.0 + second.1 / 64) as u32,
+            shifts: [(first.1 % 64) as u8, (second.1 % 64) as u8],
+        }
+    }
+
     /// Of 64 positions, those at which the run meets a taken cell.
     #[inline(always)]
     fn taken(&self, here: &[u64]) -> u64 {

@@ -55,7 +55,9 @@ impl Shapes {
             .par_iter()
             .zip(orientations)
             .map(|(piece, own)| {
-                own.iter().map(|o| raster(piece, o.matrix() * scale, cell, stride, spacing.lattice.is_some())).collect()
+                // What is resampled need not keep whole texels.
+                let on_lattice = spacing.lattice.is_some() && !piece.free;
+                own.iter().map(|o| raster(piece, o.matrix() * scale, cell, stride, on_lattice)).collect()
             })
             .collect();
         let longest_run = masks.iter().flatten().map(|(mask, ..)| mask.width + 2 * gutter).max().unwrap_or(1);

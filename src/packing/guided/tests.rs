@@ -21,7 +21,7 @@ fn stars(seed: u64, n: usize) -> Vec<Piece> {
         let next = |k: usize| rim[(k + 1) % points];
         let triangles: Vec<[DVec2; 3]> = (0..points).map(|k| [DVec2::ZERO, rim[k], next(k)]).collect();
         let area = triangles.iter().map(|t| 0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()).sum();
-        Piece { border: (0..points).map(|k| next(k) - rim[k]).collect(), triangles, area }
+        Piece { border: (0..points).map(|k| next(k) - rim[k]).collect(), triangles, area, free: false }
     };
     (0..n).map(star).collect()
 }

@@ -90,8 +90,9 @@ impl Sheet {
                     Some((least, _)) => self.height_for(*least, width).min(self.height),
                     None => self.height,
                 };
-                let plan = Plan { order: (*order).clone(), width, height, rule: *rule, partial: false };
-                let (layout, _) = greedy(&shapes, &plan);
+                let plan =
+                    Plan { order: (*order).clone(), width, height, rule: *rule, partial: false, frontiers: false };
+                let (layout, _) = greedy(&shapes, &plan, &|| false);
                 work += layout.work + 20 * panels.len() as u64;
                 if !layout.left_over.is_empty() {
                     continue;
