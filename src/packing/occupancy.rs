@@ -15,13 +15,14 @@ pub(crate) struct Pitch {
     /// Words of one plane of one level of one row.
     words: usize,
     levels: usize,
-    /// Positions are multiples of this many cells.
+    /// Positions are multiples of this many cells, a power of two.
     stride: usize,
 }
 
 impl Pitch {
     /// For sheets up to `width` cells wide, runs up to `longest_run` cells, and positions that are multiples of `stride` cells.
     pub fn new(width: usize, longest_run: usize, stride: usize) -> Self {
+        debug_assert!(stride.is_power_of_two());
         let words = width.div_ceil(64 * stride) + 1;
         Pitch { words, levels: longest_run.max(1).ilog2() as usize + 1, stride }
     }
@@ -36,7 +37,8 @@ impl Pitch {
 
     /// Where cell `x` of a row lies: the first word of its plane, and its bit there.
     fn plane(self, x: usize) -> (usize, usize) {
-        (x % self.stride * self.words, x / self.stride)
+        // Strides are powers of two: no division.
+        ((x & (self.stride - 1)) * self.words, x >> self.stride.trailing_zeros())
     }
 
     /// Recomputes the higher levels of a row for cells that can see `from..to`.
@@ -52,8 +54,9 @@ impl Pitch {
                 let source = &below[plane * words..][..words];
                 let (other, by) = self.plane(plane + step);
                 let other = &below[other..][..words];
-                for (i, word) in above[plane * words..][..words].iter_mut().enumerate().take(last + 1).skip(first) {
-                    *word = source[i] | shifted(other, i, by);
+                let above = &mut above[plane * words..][..words];
+                for i in first..=last {
+                    above[i] = source[i] | shifted(other, i, by);
                 }
             }
         }
@@ -165,7 +168,7 @@ impl Occupancy {
             let line = match &mut self.cells {
                 Some(cells) => {
                     shift_onto(cells.row_mut(y + row), mask.row(row), x, taken);
-                    &*cells.row(y + row)
+                    cells.row(y + row)
                 }
                 None => {
                     shift_onto(level, mask.row(row), x, taken);
