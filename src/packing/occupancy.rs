@@ -91,14 +91,17 @@ const SPREAD: usize = 8;
 const WIDEST: usize = 12;
 
 impl Probe {
-    /// Prepares a mask; long runs come first, since they collide most often.
+    /// Prepares a mask; long runs come first, since they collide most often, and on a lattice also those that are far from each other.
     pub fn new(mask: &Mask, pitch: Pitch) -> Self {
         let mut runs = mask.runs();
         runs.sort_unstable_by_key(|&(row, first, last)| (std::cmp::Reverse(last - first), row, first));
         let widest = runs.iter().take(WIDEST).map(|&(row, first, last)| (row, last - first + 1)).collect();
-        let mut bands = if pitch.stride > 1 { mask.bands(pitch.stride).runs() } else { Vec::new() };
-        spread(&mut bands, (REACH / pitch.stride as u32).max(1));
-        spread(&mut runs, REACH);
+        let mut bands = Vec::new();
+        if pitch.stride > 1 {
+            bands = mask.bands(pitch.stride).runs();
+            spread(&mut bands, (REACH / pitch.stride as u32).max(1));
+            spread(&mut runs, REACH);
+        }
         let tests = |runs: Vec<(u32, u32, u32)>| {
             runs.into_iter().map(|(row, first, last)| Test::new(row as usize, first, last, pitch)).collect()
         };
@@ -201,7 +204,7 @@ impl Occupancy {
         }
         // Of each row: the free runs of all of it, and every level about the mask.
         let levels = (self.pitch.levels + 1) * (mask.width / 64 + 2);
-        (mask.height * (self.width / 64 + 2 + levels) / 2) as u64
+        (mask.height * (self.pitch.level() + levels) / 2) as u64
     }
 
     /// Recomputes a band for cells that can see `touched`.

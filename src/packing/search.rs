@@ -149,7 +149,14 @@ impl Search<'_> {
         let coarse = self.shapes(self.ways, self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
         self.context.step(0.1, "searching")?;
         let Found { best: mut tried, mut work, .. } = self.coarse(&coarse, PackSearch::Fast)?;
-        tried.truncate(if n > THOUSANDS { 1 } else { FINALISTS });
+        let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
+        tried.truncate(match n {
+            ..=MANY => FINALISTS,
+            // Building them at the resolution of the coarse search costs little.
+            ..=THOUSANDS if fine_cell == coarse.cell => FINALISTS,
+            ..=THOUSANDS => FINALISTS / 2,
+            _ => 1,
+        });
         let mut starts = Vec::new();
         if self.request.search == PackSearch::Thorough && n > 1 {
             let found = self.coarse(&coarse, PackSearch::Thorough)?;
@@ -159,7 +166,6 @@ impl Search<'_> {
             tried.extend(found.best.into_iter().take(if n > MANY { FINALISTS } else { 0 }));
         }
         let widest = tried.iter().map(|t| t.width).max().unwrap_or(0) as f64 * coarse.cell;
-        let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
         // Of many pieces all orientations are tried again.
         let fine = if fine_cell == coarse.cell && n > NARROWED {
             None
