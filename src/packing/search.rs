@@ -25,7 +25,7 @@ const THOROUGH_WORK: f64 = 2e9;
 const GREEDY_PART: f64 = 0.08;
 /// The same for more than `MANY` pieces, among which walks find little.
 const MANY_PART: f64 = 0.6;
-const MANY: usize = 300;
+pub(super) const MANY: usize = 300;
 /// Layouts of different widths that the thorough search starts from, and how much their widths differ at least (natural logarithm).
 const STARTS: usize = 8;
 const APART: f64 = 0.05;
@@ -149,14 +149,7 @@ impl Search<'_> {
         let coarse = self.shapes(self.ways, self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
         self.context.step(0.1, "searching")?;
         let Found { best: mut tried, mut work, .. } = self.coarse(&coarse, PackSearch::Fast)?;
-        let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
-        tried.truncate(match n {
-            ..=MANY => FINALISTS,
-            // Building them at the resolution of the coarse search costs little.
-            ..=THOUSANDS if fine_cell == coarse.cell => FINALISTS,
-            ..=THOUSANDS => FINALISTS / 2,
-            _ => 1,
-        });
+        tried.truncate(if n > THOUSANDS { 1 } else { FINALISTS });
         let mut starts = Vec::new();
         if self.request.search == PackSearch::Thorough && n > 1 {
             let found = self.coarse(&coarse, PackSearch::Thorough)?;
@@ -166,6 +159,7 @@ impl Search<'_> {
             tried.extend(found.best.into_iter().take(if n > MANY { FINALISTS } else { 0 }));
         }
         let widest = tried.iter().map(|t| t.width).max().unwrap_or(0) as f64 * coarse.cell;
+        let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
         // Of many pieces all orientations are tried again.
         let fine = if fine_cell == coarse.cell && n > NARROWED {
             None

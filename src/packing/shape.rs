@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::mask::Mask;
 use super::occupancy::{Pitch, Probe};
 use super::orientation::Orientation;
+use super::search::MANY;
 use super::{Piece, Spacing};
 
 /// One piece in one orientation at one resolution.
@@ -66,7 +67,7 @@ impl Shapes {
             .into_par_iter()
             .map(|own| {
                 let shape = |(mask, anchor, linear): (Mask, DVec2, DMat2)| {
-                    let probe = Probe::new(&mask.dilated(gutter), pitch);
+                    let probe = Probe::new(&mask.dilated(gutter), pitch, stride > 1 || pieces.len() > MANY);
                     Shape { cells: mask.count(), mask, probe, anchor, linear }
                 };
                 Arc::new(own.into_par_iter().map(shape).collect())
