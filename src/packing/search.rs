@@ -93,11 +93,15 @@ pub fn pack(request: &Request<'_>, context: &Context) -> Result<Packing> {
 }
 
 impl Request<'_> {
+    /// Words that the fast search may look at by default.
+    fn coarse_work(&self) -> f64 {
+        if self.pieces.len() > MANY { COARSE_WORK * ROUGH_PART } else { COARSE_WORK }
+    }
+
     /// Words that the search may look at.
     fn budget(&self) -> f64 {
         let own = match self.search {
-            PackSearch::Fast if self.pieces.len() > MANY => COARSE_WORK * ROUGH_PART,
-            PackSearch::Fast => COARSE_WORK,
+            PackSearch::Fast => self.coarse_work(),
             PackSearch::Thorough => THOROUGH_WORK,
         };
         self.work_budget.map_or(own, |words| words as f64) * self.effort
@@ -319,7 +323,7 @@ impl Search<'_> {
         let part = if self.request.pieces.len() > MANY { MANY_PART } else { GREEDY_PART };
         let budget = match (self.request.search, search) {
             (PackSearch::Fast, _) => all,
-            (_, PackSearch::Fast) => (all * GREEDY_PART).min(COARSE_WORK * self.request.effort),
+            (_, PackSearch::Fast) => (all * GREEDY_PART).min(self.request.coarse_work() * self.request.effort),
             (_, PackSearch::Thorough) => all * part,
         } as u64;
         let (side, limit) = (self.side, self.limit(0, shapes));
