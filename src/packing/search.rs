@@ -29,9 +29,10 @@ pub(super) const MANY: usize = 300;
 /// Layouts of different widths that the thorough search starts from, and how much their widths differ at least (natural logarithm).
 const STARTS: usize = 8;
 const APART: f64 = 0.05;
-/// Of more pieces than this, coarse plans are compared by greedy runs that look for like pieces from where the last was found, and fewer of
-/// them; of more than `THOUSANDS` no other runs are made, and few of those.
+/// The part of `COARSE_WORK` for more than `MANY` pieces, whose coarse plans are compared by greedy runs that look for like pieces only from
+/// where the last one was found.
 const ROUGH_PART: f64 = 0.3;
+/// Of more pieces than this the fine layout is made in the same way, from so many coarse plans at once, and only of the best.
 const THOUSANDS: usize = 5000;
 const THOUSANDS_BATCH: usize = 4;
 /// Plans evaluated at once: fixed, so that the result does not depend on the number of threads.
