@@ -1,5 +1,8 @@
 //! One greedy construction: pieces in a given order, each at the best of all positions on a strip.
 
+use std::collections::BTreeMap;
+
+use super::mask::Mask;
 use super::occupancy::{Occupancy, Window};
 use super::shape::Shapes;
 
@@ -16,6 +19,8 @@ pub(crate) struct Plan {
     pub rule: Rule,
     /// Whether to go on after a piece that does not fit.
     pub partial: bool,
+    /// Whether a piece is looked for only from where the last one much like it was found: for thousands of pieces.
+    pub frontiers: bool,
 }
 
 /// Weights of a position's score (less is better), each term relative to the strip's width.
@@ -71,12 +76,27 @@ pub(crate) struct Table<'a> {
     pub sheet: Occupancy,
     width: usize,
     height: usize,
+    /// By likeness, the row above which no shape of the kind was found to fit.
+    frontiers: Option<BTreeMap<Likeness, u32>>,
+}
+
+/// What shapes have in common that need about the same room: classes of width, of height, and of the part of their box that they fill.
+type Likeness = (u8, u8, u8);
+
+/// Classes of lengths in an octave, and of fillings.
+const FINENESS: (f64, f64) = (6.0, 8.0);
+
+fn likeness(mask: &Mask, cells: usize, gutter: usize) -> Likeness {
+    let class = |side: usize| (((side + 2 * gutter) as f64).log2() * FINENESS.0) as u8;
+    let filled = cells as f64 / (mask.width * mask.height).max(1) as f64;
+    (class(mask.width), class(mask.height), (filled * FINENESS.1) as u8)
 }
 
 impl<'a> Table<'a> {
-    pub fn new(shapes: &'a Shapes, width: usize, height: usize) -> Self {
+    pub fn new(shapes: &'a Shapes, width: usize, height: usize, frontiers: bool) -> Self {
         let pad = 2 * shapes.gutter;
-        Table { shapes, sheet: Occupancy::new(width + pad, height + pad, shapes.pitch), width, height }
+        let sheet = Occupancy::new(width + pad, height + pad, shapes.pitch);
+        Table { shapes, sheet, width, height, frontiers: frontiers.then(BTreeMap::new) }
     }
 
     pub fn stamp(&mut self, piece: usize, spot: Spot, taken: bool, work: &mut u64) {
@@ -100,20 +120,28 @@ impl<'a> Table<'a> {
         if x.0 > x_last || y.0 > y_last {
             return None;
         }
-        let window = Window { x: (x.0, x_last), y: (y.0, y_last), stride: self.shapes.stride, phase: 0 };
+        let window = Window { x: (x.0, x_last), y: (y.0, y_last) };
         let (found, words) = self.sheet.find(&shape.probe, window);
         *work += words;
         found.map(|(x, y)| Spot { orientation: orientation as u32, x: x as u32, y: y as u32 })
     }
 
     /// The best spot over all orientations by `rule`, given the height used so far.
-    pub fn best(&self, piece: usize, rule: Rule, used: usize, limit: usize, work: &mut u64) -> Option<Spot> {
+    pub fn best(&mut self, piece: usize, rule: Rule, used: usize, limit: usize, work: &mut u64) -> Option<Spot> {
         let mut best: Option<(f64, Spot)> = None;
         let mut bound = limit;
         for orientation in 0..self.shapes.of_piece[piece].len() {
             let height = self.shapes.of_piece[piece][orientation].mask.height;
             let Some(room) = bound.checked_sub(height) else { continue };
-            let Some(spot) = self.find(piece, orientation, (0, usize::MAX), (0, room), work) else { continue };
+            let shape = &self.shapes.of_piece[piece][orientation];
+            let like = self.frontiers.is_some().then(|| likeness(&shape.mask, shape.cells, self.shapes.gutter));
+            let frontier = |f: &BTreeMap<Likeness, u32>| like.and_then(|l| f.get(&l).copied());
+            let from = self.frontiers.as_ref().and_then(frontier).unwrap_or(0) as usize;
+            let found = self.find(piece, orientation, (0, usize::MAX), (from, room), work);
+            if let (Some(frontiers), Some(like)) = (&mut self.frontiers, like) {
+                frontiers.insert(like, found.map_or(from.max(room + 1) as u32, |s| s.y));
+            }
+            let Some(spot) = found else { continue };
             let top = spot.y as usize + height;
             let score = rule.growth * top.saturating_sub(used) as f64
                 + rule.top * top as f64
@@ -129,9 +157,12 @@ impl<'a> Table<'a> {
     }
 }
 
-/// Runs the plan.
-pub(crate) fn greedy<'a>(shapes: &'a Shapes, plan: &Plan) -> (Layout, Table<'a>) {
-    let mut table = Table::new(shapes, plan.width, plan.height);
+/// Pieces between two looks at whether to stop.
+const CHECKED: usize = 64;
+
+/// Runs the plan; once `stop` says so, the rest is left over.
+pub(crate) fn greedy<'a>(shapes: &'a Shapes, plan: &Plan, stop: &dyn Fn() -> bool) -> (Layout, Table<'a>) {
+    let mut table = Table::new(shapes, plan.width, plan.height, plan.frontiers);
     let mut layout = Layout {
         spots: vec![None; shapes.of_piece.len()],
         width: 0,
@@ -139,7 +170,11 @@ pub(crate) fn greedy<'a>(shapes: &'a Shapes, plan: &Plan) -> (Layout, Table<'a>)
         left_over: Vec::new(),
         work: table.sheet.cost(),
     };
-    for &piece in &plan.order {
+    for (n, &piece) in plan.order.iter().enumerate() {
+        if n % CHECKED == CHECKED - 1 && stop() {
+            layout.left_over.extend(&plan.order[n..]);
+            break;
+        }
         match table.best(piece as usize, plan.rule, layout.height, plan.height, &mut layout.work) {
             Some(spot) => {
                 table.stamp(piece as usize, spot, true, &mut layout.work);
@@ -160,9 +195,13 @@ pub(crate) fn greedy<'a>(shapes: &'a Shapes, plan: &Plan) -> (Layout, Table<'a>)
 }
 
 /// Takes pieces out from the top and puts them back where they reach least high, until nothing moves any more or `rounds` are
-/// over (Box Cutter 3.3: shifting by pixels, with jumps into holes allowed).
-pub(crate) fn settle(table: &mut Table<'_>, layout: &mut Layout, rounds: usize) {
+/// over, or `stop` says so (Box Cutter 3.3: shifting by pixels, with jumps into holes allowed).
+pub(crate) fn settle(table: &mut Table<'_>, layout: &mut Layout, rounds: usize, stop: &dyn Fn() -> bool) {
     for _ in 0..rounds {
+        // What moved left room behind.
+        if let Some(frontiers) = &mut table.frontiers {
+            frontiers.clear();
+        }
         let mut order: Vec<(usize, usize)> = layout
             .spots
             .iter()
@@ -173,7 +212,10 @@ pub(crate) fn settle(table: &mut Table<'_>, layout: &mut Layout, rounds: usize) 
             .collect();
         order.sort_unstable_by_key(|&(top, p)| (top, p));
         let mut moved = false;
-        for (top, piece) in order {
+        for (n, (top, piece)) in order.into_iter().enumerate() {
+            if n % CHECKED == CHECKED - 1 && stop() {
+                break;
+            }
             let Some(spot) = layout.spots[piece] else { continue };
             table.stamp(piece, spot, false, &mut layout.work);
             let rule = Rule { growth: 0.0, top: 1.0, low: 0.0 };

@@ -91,6 +91,11 @@ impl Mask {
         &self.bits[row * self.words..(row + 1) * self.words]
     }
 
+    /// Words of a row, to change.
+    pub fn row_mut(&mut self, row: usize) -> &mut [u64] {
+        &mut self.bits[row * self.words..(row + 1) * self.words]
+    }
+
     /// Whether a cell is set.
     pub fn get(&self, x: usize, y: usize) -> bool {
         self.row(y)[x / 64] >> (x % 64) & 1 == 1
@@ -117,6 +122,17 @@ impl Mask {
             }
         }
         runs
+    }
+
+    /// Each `size` rows as one row, with the cells that are set in all of them.
+    pub fn bands(&self, size: usize) -> Mask {
+        let mut bands = Mask::new(self.width, self.height / size);
+        for (band, line) in bands.bits.chunks_exact_mut(self.words).enumerate() {
+            for (i, word) in line.iter_mut().enumerate() {
+                *word = (band * size..(band + 1) * size).fold(!0, |bits, row| bits & self.row(row)[i]);
+            }
+        }
+        bands
     }
 
     /// Every cell within `margin` cells (Chebyshev) of a set one; the result is larger by `margin` on each side.

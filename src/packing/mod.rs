@@ -38,6 +38,9 @@ pub struct Piece {
     pub border: Vec<DVec2>,
     /// Area covered, in square texels.
     pub area: f64,
+    /// Whether its texels are resampled anyway, so that it may be turned by any angle even where the request allows quarter turns only;
+    /// where no rotation is allowed it is not turned either.
+    pub free: bool,
 }
 
 impl Piece {

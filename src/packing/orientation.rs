@@ -37,15 +37,20 @@ pub(crate) enum Angles {
     Several(u32),
 }
 
-/// The orientations to try for a piece: quarter turns, and where any rotation is allowed the piece's own best axes (Box Cutter, 3.2.1:
-/// least L1 norm of the boundary's directions) and more angles.
+/// Most angles beside the best axes of a piece that is free where others keep to quarter turns.
+const FREE_ANGLES: u32 = 3;
+
+/// The orientations to try for a piece: quarter turns, and where any rotation is allowed or the piece is free its own best axes (Box
+/// Cutter, 3.2.1: least L1 norm of the boundary's directions) and more angles.
 pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, angles: Angles) -> Vec<Orientation> {
     use std::f64::consts::FRAC_PI_2;
     let mut within = vec![0.0];
-    if rotation == Rotation::Any {
+    let free = piece.free && rotation == Rotation::Quarter;
+    if rotation == Rotation::Any || free {
         let axes = best_axes(piece);
         within = vec![axes];
         if let Angles::Several(more) = angles {
+            let more = if free { more.min(FREE_ANGLES) } else { more };
             if more > 1 {
                 within.extend([0.0, tightest_box(piece)].into_iter().filter(|a| (a - axes).abs() > 1e-5));
             }
@@ -147,7 +152,7 @@ mod tests {
         for degrees in [0.0_f64, 7.3, 30.0, 60.5, 88.0] {
             let turn = DMat2::from_angle(-degrees.to_radians());
             let sides = [DVec2::new(3.0, 0.0), DVec2::new(0.0, 1.0), DVec2::new(-3.0, 0.0), DVec2::new(0.0, -1.0)];
-            let piece = Piece { triangles: Vec::new(), border: sides.map(|d| turn * d).to_vec(), area: 3.0 };
+            let piece = Piece { border: sides.map(|d| turn * d).to_vec(), area: 3.0, ..Piece::default() };
             assert!((best_axes(&piece).to_degrees() - degrees).abs() < 0.01, "{degrees}");
             let [a, b, c] = [DVec2::ZERO, DVec2::new(3.0, 0.0), DVec2::new(1.0, 1.0)].map(|p| turn * p);
             let piece = Piece { triangles: vec![[a, b, c]], ..piece };
@@ -156,8 +161,27 @@ mod tests {
     }
 
     #[test]
+    fn a_free_piece_turns_beyond_quarters_unless_nothing_may_turn() {
+        let turn = DMat2::from_angle(0.3);
+        let sides = [DVec2::new(3.0, 0.0), DVec2::new(0.0, 1.0), DVec2::new(-3.0, 0.0), DVec2::new(0.0, -1.0)];
+        let bound = Piece { border: sides.map(|d| turn * d).to_vec(), area: 3.0, ..Piece::default() };
+        let free = Piece { free: true, ..bound.clone() };
+        let quarter = |o: &Orientation| {
+            let quarters = o.angle / std::f64::consts::FRAC_PI_2;
+            (quarters - quarters.round()).abs() < 1e-12
+        };
+        let of = |piece, rotation| orientations(piece, rotation, false, Angles::Several(11));
+        assert!(of(&bound, Rotation::Quarter).iter().all(quarter));
+        let axes = best_axes(&free);
+        let turned = of(&free, Rotation::Quarter);
+        assert!(turned.iter().any(|o| o.angle == axes) && !turned.iter().all(quarter));
+        assert!(turned.len() < of(&free, Rotation::Any).len());
+        assert_eq!(of(&free, Rotation::None), vec![Orientation { angle: 0.0, mirror: false }]);
+    }
+
+    #[test]
     fn quarter_turns_are_exact() {
-        let piece = Piece { triangles: Vec::new(), border: Vec::new(), area: 0.0 };
+        let piece = Piece::default();
         let all = orientations(&piece, Rotation::Quarter, true, Angles::Axes);
         assert_eq!(all.len(), 8);
         for o in all {

@@ -3,7 +3,7 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::greedy::{Layout, Plan, Rule, Spot, greedy, settle};
+use super::greedy::{Layout, Plan, Rule, Spot, Table, greedy, settle};
 use super::guided::{Guided, Outline, Start};
 use super::orientation::{Angles, Orientation, orientations};
 use super::random::Random;
@@ -25,10 +25,16 @@ const THOROUGH_WORK: f64 = 2e9;
 const GREEDY_PART: f64 = 0.08;
 /// The same for more than `MANY` pieces, among which walks find little.
 const MANY_PART: f64 = 0.6;
-const MANY: usize = 300;
+pub(super) const MANY: usize = 300;
 /// Layouts of different widths that the thorough search starts from, and how much their widths differ at least (natural logarithm).
 const STARTS: usize = 8;
 const APART: f64 = 0.05;
+/// The part of `COARSE_WORK` for more than `MANY` pieces, whose coarse plans are compared by greedy runs that look for like pieces only from
+/// where the last one was found.
+const ROUGH_PART: f64 = 0.3;
+/// Of more pieces than this the fine layout is made in the same way, from so many coarse plans at once, and only of the best.
+const THOUSANDS: usize = 5000;
+const THOUSANDS_BATCH: usize = 4;
 /// Plans evaluated at once: fixed, so that the result does not depend on the number of threads.
 const BATCH: usize = 16;
 /// Coarse plans that are built at the fine resolution.
@@ -88,10 +94,15 @@ pub fn pack(request: &Request<'_>, context: &Context) -> Result<Packing> {
 }
 
 impl Request<'_> {
+    /// Words that the fast search may look at by default.
+    fn coarse_work(&self) -> f64 {
+        if self.pieces.len() > MANY { COARSE_WORK * ROUGH_PART } else { COARSE_WORK }
+    }
+
     /// Words that the search may look at.
     fn budget(&self) -> f64 {
         let own = match self.search {
-            PackSearch::Fast => COARSE_WORK,
+            PackSearch::Fast => self.coarse_work(),
             PackSearch::Thorough => THOROUGH_WORK,
         };
         self.work_budget.map_or(own, |words| words as f64) * self.effort
@@ -143,7 +154,7 @@ impl Search<'_> {
         let coarse = self.shapes(self.ways, self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
         self.context.step(0.1, "searching")?;
         let Found { best: mut tried, mut work, .. } = self.coarse(&coarse, PackSearch::Fast)?;
-        tried.truncate(if n > MANY { 2 } else { FINALISTS });
+        tried.truncate(if n > THOUSANDS { 1 } else { FINALISTS });
         let mut starts = Vec::new();
         if self.request.search == PackSearch::Thorough && n > 1 {
             let found = self.coarse(&coarse, PackSearch::Thorough)?;
@@ -154,37 +165,53 @@ impl Search<'_> {
         }
         let widest = tried.iter().map(|t| t.width).max().unwrap_or(0) as f64 * coarse.cell;
         let fine_cell = self.cell(side / by_count(&FINE_SIDE, n));
-        let fine = self.shapes(&self.narrowed(&tried), fine_cell, widest + fine_cell);
+        // Of many pieces all orientations are tried again.
+        let fine = if fine_cell == coarse.cell && n > NARROWED {
+            None
+        } else {
+            Some(self.shapes(&self.narrowed(&tried), fine_cell, widest + fine_cell))
+        };
+        let fine = fine.as_ref().unwrap_or(&coarse);
         self.context.step(0.6, "placing")?;
-        let mut best: Option<(f64, Layout)> = None;
-        let finals: Vec<Result<(f64, Layout)>> = tried
+        let mut best: Option<(f64, Layout, Table<'_>)> = None;
+        let finals: Vec<Result<(f64, Layout, Table<'_>)>> = tried
             .par_iter()
             .map(|t| {
                 self.context.check()?;
                 let ratio = coarse.cell / fine.cell;
-                let width = ((t.width as f64 * ratio).ceil() as usize).min(self.limit(0, &fine));
-                let height = (self.limit(1, &fine))
+                let width = ((t.width as f64 * ratio).ceil() as usize).min(self.limit(0, fine));
+                let height = (self.limit(1, fine))
                     .min((self.height_for(t.cost, t.width, &coarse) as f64 * ratio * 1.3) as usize + 64);
-                let plan = Plan { width, height, partial: false, ..t.plan.clone() };
-                let (mut layout, mut table) = greedy(&fine, &plan);
-                if layout.left_over.is_empty() {
-                    settle(&mut table, &mut layout, if n > MANY { 1 } else { 2 });
+                let plan = Plan { width, height, partial: false, frontiers: n > THOUSANDS, ..t.plan.clone() };
+                let (mut layout, mut table) = greedy(fine, &plan, &|| self.stopped());
+                if layout.left_over.is_empty() && n <= MANY {
+                    settle(&mut table, &mut layout, 2, &|| self.stopped());
                 }
-                Ok((self.cost(&layout, &fine), layout))
+                self.context.check()?;
+                Ok((self.cost(&layout, fine), layout, table))
             })
             .collect();
         for result in finals {
-            let (cost, layout) = result?;
+            let (cost, layout, table) = result?;
             work += layout.work;
-            if layout.left_over.is_empty() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
-                best = Some((cost, layout));
+            if !layout.left_over.is_empty() || best.as_ref().is_some_and(|(least, ..)| cost >= *least) {
+                continue;
             }
+            best = Some((cost, layout, table));
+        }
+        // Of many pieces only the best layout is worth settling.
+        if let Some((cost, layout, table)) = best.as_mut().filter(|_| n > MANY) {
+            work -= layout.work;
+            settle(table, layout, 1, &|| self.stopped());
+            self.context.check()?;
+            work += layout.work;
+            *cost = self.cost(layout, fine);
         }
         self.context.step(0.95, "placing")?;
-        let Some((cost, layout)) = best else {
+        let Some((cost, layout, _)) = best else {
             return self.pages(&self.shapes(self.ways, fine_cell, self.span), work);
         };
-        let packing = self.one_sheet(&layout, &fine, work);
+        let packing = self.one_sheet(&layout, fine, work);
         if starts.is_empty() {
             return Ok(packing);
         }
@@ -194,6 +221,11 @@ impl Search<'_> {
             Some((_, worse)) => Packing { work: work + worse.work, ..packing },
             None => packing,
         })
+    }
+
+    /// Whether the job was canceled.
+    fn stopped(&self) -> bool {
+        self.context.check().is_err()
     }
 
     /// The best that the thorough search makes of these layouts, and its cost.
@@ -206,7 +238,7 @@ impl Search<'_> {
 
     /// The layout of a coarse plan, for the thorough search.
     fn start(&self, shapes: &Shapes, tried: &Tried) -> Option<Start> {
-        let (layout, _) = greedy(shapes, &tried.plan);
+        let (layout, _) = greedy(shapes, &tried.plan, &|| self.stopped());
         let place = |(piece, spot): (usize, &Option<Spot>)| {
             let spot = (*spot)?;
             let at = DVec2::new(f64::from(spot.x), f64::from(spot.y)) * shapes.cell;
@@ -292,7 +324,7 @@ impl Search<'_> {
         let part = if self.request.pieces.len() > MANY { MANY_PART } else { GREEDY_PART };
         let budget = match (self.request.search, search) {
             (PackSearch::Fast, _) => all,
-            (_, PackSearch::Fast) => (all * GREEDY_PART).min(COARSE_WORK * self.request.effort),
+            (_, PackSearch::Fast) => (all * GREEDY_PART).min(self.request.coarse_work() * self.request.effort),
             (_, PackSearch::Thorough) => all * part,
         } as u64;
         let (side, limit) = (self.side, self.limit(0, shapes));
@@ -323,6 +355,7 @@ impl Search<'_> {
                         height: self.limit(1, shapes),
                         rule: *rule,
                         partial: false,
+                        frontiers: self.request.pieces.len() > MANY,
                     });
                 }
             }
@@ -330,7 +363,8 @@ impl Search<'_> {
         let mut found = Found::default();
         // Widths near the square first: an interrupted search has tried them.
         plans.sort_by_key(|p| p.width.abs_diff((side / shapes.cell) as usize));
-        for batch in plans.chunks(BATCH) {
+        let size = if self.request.pieces.len() > THOUSANDS { THOUSANDS_BATCH } else { BATCH };
+        for batch in plans.chunks(size) {
             self.evaluate(shapes, batch.to_vec(), search, &mut found)?;
             if found.work > budget / 2 && !found.best.is_empty() {
                 break;
@@ -344,7 +378,7 @@ impl Search<'_> {
         {
             let best = &found.best;
             let height = self.limit(1, shapes);
-            let batch = (0..BATCH)
+            let batch = (0..size)
                 .map(|k| Plan { height, ..mutate(&best[k % best.len().min(3)].plan, narrowest, limit, &mut random) })
                 .collect();
             self.evaluate(shapes, batch, search, &mut found)?;
@@ -368,7 +402,7 @@ impl Search<'_> {
                 if let Some(cost) = worst {
                     plan.height = plan.height.min(self.height_for(cost, plan.width, shapes));
                 }
-                let (layout, _) = greedy(shapes, &plan);
+                let (layout, _) = greedy(shapes, &plan, &|| self.stopped());
                 let chosen = layout.spots.iter().map(|s| s.map_or(0, |s| s.orientation)).collect();
                 Tried { cost: self.cost(&layout, shapes), work: layout.work, width: layout.width, chosen, plan }
             })
@@ -384,7 +418,7 @@ impl Search<'_> {
         }
         best.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         best.truncate(FINALISTS);
-        Ok(())
+        self.context.check()
     }
 
     /// Orders to start from: by area, by the longest side, by area of the bounding box, by perimeter.
@@ -428,8 +462,16 @@ impl Search<'_> {
         let mut rest = self.orders(shapes).swap_remove(0);
         while !rest.is_empty() {
             self.context.check()?;
-            let plan = Plan { order: rest.clone(), width, height, rule: RULES[0], partial: true };
-            let (mut layout, mut table) = greedy(shapes, &plan);
+            let plan = Plan {
+                order: rest.clone(),
+                width,
+                height,
+                rule: RULES[0],
+                partial: true,
+                frontiers: self.request.pieces.len() > MANY,
+            };
+            let (mut layout, mut table) = greedy(shapes, &plan, &|| self.stopped());
+            self.context.check()?;
             if layout.left_over.len() == rest.len() {
                 return Err(Failure::new(
                     Code::TooLarge,
@@ -439,7 +481,7 @@ impl Search<'_> {
                     ),
                 ));
             }
-            settle(&mut table, &mut layout, 2);
+            settle(&mut table, &mut layout, 2, &|| self.stopped());
             work += layout.work;
             let page = sheets.len() as u16;
             for (piece, slot) in placements.iter_mut().enumerate() {

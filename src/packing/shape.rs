@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::mask::Mask;
 use super::occupancy::{Pitch, Probe};
 use super::orientation::Orientation;
+use super::search::MANY;
 use super::{Piece, Spacing};
 
 /// One piece in one orientation at one resolution.
@@ -32,8 +33,6 @@ pub(crate) struct Shapes {
     pub cell: f64,
     /// Gutter in cells.
     pub gutter: usize,
-    /// Positions are multiples of this many cells.
-    pub stride: usize,
     /// By piece, by orientation. Shared, so that a search that changes few pieces keeps the others.
     pub of_piece: Vec<Arc<Vec<Shape>>>,
     /// How sheets of this resolution lie in memory.
@@ -57,22 +56,24 @@ impl Shapes {
             .par_iter()
             .zip(orientations)
             .map(|(piece, own)| {
-                own.iter().map(|o| raster(piece, o.matrix() * scale, cell, stride, spacing.lattice.is_some())).collect()
+                // What is resampled need not keep whole texels.
+                let on_lattice = spacing.lattice.is_some() && !piece.free;
+                own.iter().map(|o| raster(piece, o.matrix() * scale, cell, stride, on_lattice)).collect()
             })
             .collect();
         let longest_run = masks.iter().flatten().map(|(mask, ..)| mask.width + 2 * gutter).max().unwrap_or(1);
-        let pitch = Pitch::new((widest / cell).ceil() as usize + 2 * gutter + 1, longest_run);
+        let pitch = Pitch::new((widest / cell).ceil() as usize + 2 * gutter + 1, longest_run, stride);
         let of_piece = masks
             .into_par_iter()
             .map(|own| {
                 let shape = |(mask, anchor, linear): (Mask, DVec2, DMat2)| {
-                    let probe = Probe::new(&mask.dilated(gutter), pitch);
+                    let probe = Probe::new(&mask.dilated(gutter), pitch, stride > 1 || pieces.len() > MANY);
                     Shape { cells: mask.count(), mask, probe, anchor, linear }
                 };
                 Arc::new(own.into_par_iter().map(shape).collect())
             })
             .collect();
-        Shapes { cell, gutter, stride, of_piece, pitch }
+        Shapes { cell, gutter, of_piece, pitch }
     }
 }
 

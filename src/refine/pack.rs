@@ -6,7 +6,7 @@ use serde_json::{Map, Value};
 
 use super::options::{IfLarger, Options, Overflow, OverlapMode, Pack, Rotation, Size};
 use super::stage::{Frame, Staged};
-use crate::atlas::{Atlas, Charts, Clusters, Move, Topology, clusters, overlapping_charts};
+use crate::atlas::{Atlas, ChartId, Charts, Clusters, Move, Topology, clusters, overlapping_charts};
 use crate::context::Context;
 use crate::error::{Code, Result, Warning};
 use crate::packing::{self, Packing, Piece, Placement, Request, Rounding, Spacing, Start};
@@ -19,7 +19,7 @@ const MIP_LATTICE: u32 = 4;
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
 pub fn pack(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) -> Result<Staged> {
-    let (next, work) = lay_out(atlas, frame, options, &[], 1.0, context)?;
+    let (next, work) = lay_out(atlas, frame, options, &[], &[], 1.0, context)?;
     let figures = Map::from_iter([("work".to_owned(), Value::from(work))]);
     let staged = Staged { atlas: next, stopped_by: "done", figures, kept: false };
     if keeps_input(atlas, &staged.atlas, frame, options) {
@@ -29,7 +29,8 @@ pub fn pack(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) 
 }
 
 /// Packs the charts, or the clusters of charts, on new sheets, and gives the work that it took. `starts` are layouts of the clusters in
-/// order for the thorough search to start from; `effort` multiplies its budget.
+/// order for the thorough search to start from; `effort` multiplies its budget. `free` says by chart whether its texels are resampled
+/// anyway, so that it may turn by any angle where rotation is `quarter`; a cluster may where all its charts may. Empty, none may.
 ///
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
@@ -38,6 +39,7 @@ pub(super) fn lay_out(
     frame: &Frame,
     options: &Options,
     starts: &[Start],
+    free: &[bool],
     effort: f64,
     context: &Context,
 ) -> Result<(Atlas, u64)> {
@@ -45,7 +47,9 @@ pub(super) fn lay_out(
     let charts = Charts::new(&topology);
     let together = clusters(atlas, &charts, options.atlas.overlaps);
     context.step(0.02, "outlining charts")?;
-    let pieces: Vec<Piece> = together.charts.par_iter().map(|own| piece(atlas, &topology, &charts, own)).collect();
+    let is_free = |own: &[ChartId]| own.iter().all(|c| free.get(c.index()).is_some_and(|free| *free));
+    let outlined = |own: &Vec<ChartId>| Piece { free: is_free(own), ..piece(atlas, &topology, &charts, own) };
+    let pieces: Vec<Piece> = together.charts.par_iter().map(outlined).collect();
     let starts = if starts.iter().all(|s| s.places.len() == pieces.len()) { starts } else { &[] };
     let packed = place(&pieces, frame, options, starts, effort, context)?;
     Ok((apply(atlas, &charts, &together, &packed), packed.work))
@@ -63,7 +67,7 @@ pub(super) fn keeps_input(before: &Atlas, after: &Atlas, frame: &Frame, options:
         && (options.atlas.overlaps == OverlapMode::Stack || overlapping_charts(before, &Charts::new(&Topology::new(before))).is_empty())
 }
 
-fn piece(atlas: &Atlas, topology: &Topology, charts: &Charts, own: &[crate::atlas::ChartId]) -> Piece {
+fn piece(atlas: &Atlas, topology: &Topology, charts: &Charts, own: &[ChartId]) -> Piece {
     let mut piece = Piece::default();
     for face in own.iter().flat_map(|c| &charts.faces[c.index()]) {
         let triangle = atlas.uv_triangle(*face);

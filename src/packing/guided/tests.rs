@@ -1,4 +1,4 @@
-//! What every layout of the thorough search must keep.
+//! What every layout must keep, of the thorough search and of the fast one where pieces are many.
 
 use glam::{DMat2, DVec2};
 
@@ -21,7 +21,7 @@ fn stars(seed: u64, n: usize) -> Vec<Piece> {
         let next = |k: usize| rim[(k + 1) % points];
         let triangles: Vec<[DVec2; 3]> = (0..points).map(|k| [DVec2::ZERO, rim[k], next(k)]).collect();
         let area = triangles.iter().map(|t| 0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()).sum();
-        Piece { border: (0..points).map(|k| next(k) - rim[k]).collect(), triangles, area }
+        Piece { border: (0..points).map(|k| next(k) - rim[k]).collect(), triangles, area, free: false }
     };
     (0..n).map(star).collect()
 }
@@ -131,6 +131,42 @@ fn the_number_of_threads_does_not_matter() {
         pool.unwrap_or_else(|e| panic!("{e}")).install(|| packed(&request))
     };
     assert_eq!(with(1), with(4));
+}
+
+/// More pieces than are placed without short cuts, every other one free to turn.
+#[test]
+fn of_many_pieces_gutters_and_lattice_are_kept_and_free_ones_turn() {
+    let mut pieces = stars(2, 340);
+    for (n, piece) in pieces.iter_mut().enumerate() {
+        piece.free = n % 2 == 0;
+    }
+    let spacing = Spacing { gutter: 4.0, margin: 4.0, lattice: Some(4.0), unit: 1.0 };
+    let fast = Request {
+        spacing,
+        rotation: Rotation::Quarter,
+        search: PackSearch::Fast,
+        work_budget: Some(2_000_000),
+        ..request(&pieces)
+    };
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.unwrap_or_else(|e| panic!("{e}")).install(|| packed(&fast))
+    };
+    let packing = with(1);
+    assert_eq!(packing, with(4));
+    check(&fast, &packing);
+    let (mut free, mut turned) = (0, 0);
+    for (piece, at) in pieces.iter().zip(&packing.placements) {
+        let quarters = (at.linear.to_cols_array().map(f64::abs).iter().sum::<f64>() - 2.0).abs() < 1e-9;
+        if piece.free {
+            free += 1;
+            turned += usize::from(!quarters);
+            continue;
+        }
+        let steps = at.translate / 4.0;
+        assert!(quarters && (steps - steps.round()).abs().max_element() < 1e-9, "{at:?}");
+    }
+    assert!(turned * 2 > free, "{turned} of {free}");
 }
 
 #[test]

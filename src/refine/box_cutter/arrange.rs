@@ -64,7 +64,7 @@ impl Sheet {
     fn on_strips(&self, panels: &[Arc<Panel>], widths: &[usize], near: bool) -> (Option<Arrangement>, u64) {
         let raster = &self.raster;
         let of_piece = panels.iter().map(|p| p.shapes(raster)).collect();
-        let shapes = Shapes { cell: raster.cell, gutter: 0, stride: 1, of_piece, pitch: raster.pitch };
+        let shapes = Shapes { cell: raster.cell, gutter: 0, of_piece, pitch: raster.pitch };
         let area: f64 = panels.iter().map(|p| p.area).sum();
         let mut by_area: Vec<u32> = (0..panels.len() as u32).collect();
         by_area.sort_by(|&a, &b| panels[b as usize].area.total_cmp(&panels[a as usize].area).then(a.cmp(&b)));
@@ -90,8 +90,9 @@ impl Sheet {
                     Some((least, _)) => self.height_for(*least, width).min(self.height),
                     None => self.height,
                 };
-                let plan = Plan { order: (*order).clone(), width, height, rule: *rule, partial: false };
-                let (layout, _) = greedy(&shapes, &plan);
+                let plan =
+                    Plan { order: (*order).clone(), width, height, rule: *rule, partial: false, frontiers: false };
+                let (layout, _) = greedy(&shapes, &plan, &|| false);
                 work += layout.work + 20 * panels.len() as u64;
                 if !layout.left_over.is_empty() {
                     continue;

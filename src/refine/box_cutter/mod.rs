@@ -236,7 +236,7 @@ fn finish(
         let effort = if options.pack.search == PackSearch::Thorough { 1.0 / FINALS as f64 } else { EFFORT };
         // A small budget of work is small for all that is done.
         let effort = effort * (limits.work as f64 / USUAL_WORK).min(1.0);
-        let (laid, own) = lay_out(&cut, frame, &own, layout.as_slice(), effort, context)?;
+        let (laid, own) = lay_out(&cut, frame, &own, layout.as_slice(), &[], effort, context)?;
         work += own;
         // What packing made of it, weighed as in the search.
         let worth = state.worth(ground, limits) / state.arrangement.efficiency.max(1e-300) * efficiency(&laid);
@@ -273,7 +273,7 @@ fn sheet(panels: &[std::sync::Arc<panel::Panel>], frame: &Frame, options: &Optio
     let raster = Raster {
         cell,
         inflate: gutter / 2.0,
-        pitch: Pitch::new(widest, widest),
+        pitch: Pitch::new(widest, widest, 1),
         rotation: options.pack.rotation,
         mirror: options.pack.mirror,
     };

@@ -120,7 +120,7 @@ impl Panel {
         let shape = |o: Orientation| {
             let linear = o.matrix();
             let (mask, anchor) = rasterise(&self.outline, self.rigid.as_deref(), linear, raster);
-            let probe = Probe::new(&mask, raster.pitch);
+            let probe = Probe::new(&mask, raster.pitch, false);
             Shape { cells: mask.count(), mask, probe, anchor, linear }
         };
         let make = || Arc::new(self.orientations(raster).into_iter().map(shape).collect());
