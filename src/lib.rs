@@ -9,6 +9,7 @@
 //! ```
 //!
 //! * [`atlas`]: the value that everything works on: surface, UVs in texels, provenance.
+//! * `numeric`: energies of maps of triangles, and the solvers that make them small.
 //! * [`packing`]: places charts on sheets; knows neither glTF nor images.
 //! * [`refine`]: the stages from Atlas to Atlas, the options, and the recipe that runs them.
 //! * [`asset`]: glTF and OBJ in and out.
@@ -26,6 +27,7 @@ pub mod error;
 pub mod http;
 pub mod jobs;
 pub mod metrics;
+mod numeric;
 pub mod packing;
 pub mod refine;
 pub mod texture;

@@ -8,6 +8,7 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::App;
 use crate::refine::box_cutter::params::BoxCutter;
+use crate::refine::defrag::params::Defrag;
 use crate::refine::options::{Options, Pack};
 use crate::refine::parse::{MAX_METADATA_BYTES, MAX_STAGES, RECIPES};
 
@@ -58,6 +59,7 @@ pub(super) async fn recipes() -> Json<Recipes> {
     let stages = vec![
         stage("pack", Some("/pack"), schema::<Pack>(&Pack::default())),
         stage("box_cutter", None, schema::<BoxCutter>(&BoxCutter::default())),
+        stage("defrag", None, schema::<Defrag>(&Defrag::default())),
     ];
     Json(Recipes { recipes, stages, options: schema::<Options>(&Options::default()) })
 }

@@ -66,37 +66,46 @@ impl<'a> Arap<'a> {
     /// Moves the free vertices, at most so many rounds of rotations and positions; ends when no vertex moves by more than
     /// `tolerance`.
     pub(crate) fn relax(&self, positions: &mut [DVec2], rounds: usize, tolerance: f64) {
+        // Weighted target edges, and what held vertices contribute: the same in every round.
+        let edges: Vec<[DVec2; 3]> = (self.patch.rest.iter().zip(&self.weights))
+            .map(|(rest, w)| [0, 1, 2].map(|k| w[k] * (rest[k] - rest[(k + 1) % 3])))
+            .collect();
         let rows = self.row.iter().flatten().count();
-        let mut side = vec![DVec2::ZERO; rows];
-        for _ in 0..rounds {
-            side.fill(DVec2::ZERO);
-            for ((t, rest), w) in self.patch.triangles.iter().zip(self.patch.rest).zip(&self.weights) {
-                let edge = |p: &[DVec2; 3], k: usize| p[k] - p[(k + 1) % 3];
-                let now = t.map(|v| positions[v as usize]);
-                // The rotation nearest to the map from rest to now: its cosine and sine up to a factor.
-                let mut turn = DVec2::ZERO;
-                for k in 0..3 {
-                    let (r, e) = (edge(rest, k), edge(&now, k));
-                    turn += w[k] * DVec2::new(r.dot(e), r.perp_dot(e));
-                }
-                let turn = turn.try_normalize().unwrap_or(DVec2::X);
-                for k in 0..3 {
-                    let wanted = w[k] * turn.rotate(edge(rest, k));
-                    let ends = [t[k] as usize, t[(k + 1) % 3] as usize];
-                    for (own, other, sign) in [(ends[0], ends[1], 1.0), (ends[1], ends[0], -1.0)] {
-                        if let Some(row) = self.row[own] {
-                            let known = if self.row[other].is_none() { w[k] * positions[other] } else { DVec2::ZERO };
-                            side[row as usize] += sign * wanted + known;
-                        }
-                    }
+        let mut held = vec![DVec2::ZERO; rows];
+        for (t, w) in self.patch.triangles.iter().zip(&self.weights) {
+            for k in 0..3 {
+                let [i, j] = [t[k] as usize, t[(k + 1) % 3] as usize];
+                match (self.row[i], self.row[j]) {
+                    (Some(row), None) => held[row as usize] += w[k] * positions[j],
+                    (None, Some(row)) => held[row as usize] += w[k] * positions[i],
+                    _ => {}
                 }
             }
-            self.factor.solve(&mut side);
+        }
+        // Rows of held vertices lead to one more, which is not read.
+        let row: Vec<usize> = self.row.iter().map(|r| r.map_or(rows, |r| r as usize)).collect();
+        let ends: Vec<[usize; 3]> = self.patch.triangles.iter().map(|t| t.map(|v| row[v as usize])).collect();
+        let mut side = vec![DVec2::ZERO; rows + 1];
+        for _ in 0..rounds {
+            side[..rows].copy_from_slice(&held);
+            for ((t, e), rows) in self.patch.triangles.iter().zip(&edges).zip(&ends) {
+                let [a, b, c] = t.map(|v| positions[v as usize]);
+                // The rotation nearest to the map from rest to now: its cosine and sine up to a factor.
+                let now = [a - b, b - c, c - a];
+                let dot = e[0].dot(now[0]) + e[1].dot(now[1]) + e[2].dot(now[2]);
+                let cross = e[0].perp_dot(now[0]) + e[1].perp_dot(now[1]) + e[2].perp_dot(now[2]);
+                let turn = DVec2::new(dot, cross).try_normalize().unwrap_or(DVec2::X);
+                let [p, q, r] = e.map(|e| turn.rotate(e));
+                side[rows[0]] += p - r;
+                side[rows[1]] += q - p;
+                side[rows[2]] += r - q;
+            }
+            self.factor.solve(&mut side[..rows]);
             let mut moved: f64 = 0.0;
-            for (position, row) in positions.iter_mut().zip(&self.row) {
-                if let Some(row) = row {
-                    moved = moved.max(position.distance_squared(side[*row as usize]));
-                    *position = side[*row as usize];
+            for (position, row) in positions.iter_mut().zip(&row) {
+                if *row < rows {
+                    moved = moved.max(position.distance_squared(side[*row]));
+                    *position = side[*row];
                 }
             }
             if !(moved > tolerance * tolerance) {
@@ -151,9 +160,8 @@ mod tests {
     }
 
     fn energy(triangles: &[[u32; 3]], rest: &[[DVec2; 3]], at: &[DVec2]) -> f64 {
-        let one = |(t, r): (&[u32; 3], &[DVec2; 3])| {
-            jacobian(r, &t.map(|v| at[v as usize])).map_or(0.0, |j| arap(&j)) * 0.5
-        };
+        let one =
+            |(t, r): (&[u32; 3], &[DVec2; 3])| jacobian(r, &t.map(|v| at[v as usize])).map_or(0.0, |j| arap(&j)) * 0.5;
         triangles.iter().zip(rest).map(one).sum()
     }
 

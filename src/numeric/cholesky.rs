@@ -86,13 +86,8 @@ impl Cholesky {
         }
         let mut start = vec![0; n + 1];
         (0..n).for_each(|i| start[i + 1] = start[i] + count[i]);
-        let mut own = Cholesky {
-            rows: vec![0; start[n]],
-            values: vec![0.0; start[n]],
-            pivots: vec![0.0; n],
-            order,
-            start,
-        };
+        let mut own =
+            Cholesky { rows: vec![0; start[n]], values: vec![0.0; start[n]], pivots: vec![0.0; n], order, start };
         let mut filled: Vec<usize> = own.start[..n].to_vec();
         let mut work = vec![0.0; n];
         let mut pattern = vec![0u32; n];

@@ -46,8 +46,7 @@ mod tests {
     fn singular_values_are_those_of_a_turn_a_stretch_and_a_turn() {
         for (s, t) in [(2.0, 0.5), (1.0, 1.0), (3.0, -0.25), (1.5, 0.0)] {
             for (p, q) in [(0.3, 1.1), (2.0, -0.7), (0.0, 0.0)] {
-                let j =
-                    DMat2::from_angle(p) * DMat2::from_diagonal(DVec2::new(s, t)) * DMat2::from_angle(q);
+                let j = DMat2::from_angle(p) * DMat2::from_diagonal(DVec2::new(s, t)) * DMat2::from_angle(q);
                 let got = singular_values(&j);
                 assert!((got[0] - s).abs() < 1e-12 && (got[1] - t).abs() < 1e-12, "{got:?}");
                 let expected = (s - 1.0_f64).powi(2) + (t - 1.0_f64).powi(2);

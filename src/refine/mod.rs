@@ -2,6 +2,7 @@
 
 pub mod box_cutter;
 mod check;
+pub mod defrag;
 mod deliver;
 pub mod fabrication;
 mod formats;

@@ -7,6 +7,7 @@ use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::box_cutter::params::BoxCutter;
+use super::defrag::params::Defrag;
 pub use super::fabrication::{FabricationParams, Seams};
 
 /// All options of a job.
@@ -19,6 +20,8 @@ pub struct Options {
     pub pack: Pack,
     /// Parameters of the stage `box_cutter`, where the stage does not say its own.
     pub box_cutter: BoxCutter,
+    /// Parameters of the stage `defrag`, where the stage does not say its own.
+    pub defrag: Defrag,
     /// What the output textures are like.
     pub texture: Texture,
     /// What one atlas is.
@@ -47,6 +50,7 @@ impl Default for Options {
             recipe: Recipe::Preset("pack".to_owned()),
             pack: Pack::default(),
             box_cutter: BoxCutter::default(),
+            defrag: Defrag::default(),
             texture: Texture::default(),
             atlas: AtlasOptions::default(),
             importance: None,
@@ -65,6 +69,12 @@ impl Options {
     /// What a preset starts from; what users say goes on top.
     pub fn preset(name: &str) -> Self {
         let mut options = Options { recipe: Recipe::Preset(name.to_owned()), ..Options::default() };
+        if name == "scan" || name == "scan_tight" {
+            // Charts of scans that share a few texels do so by accident.
+            options.atlas = AtlasOptions { overlaps: OverlapMode::Separate, ..options.atlas };
+            // Texels that were kept so far are kept.
+            options.box_cutter = BoxCutter { max_boundary_length: Some(1.3), weld: false, ..options.box_cutter };
+        }
         if name == "fabrication" {
             // Panels are cut from sheets of material: any turn, never mirrored, every panel once.
             options.pack = Pack { rotation: Rotation::Any, mirror: false, ..Pack::default() };
@@ -81,6 +91,10 @@ impl Options {
             Recipe::Stages(stages) => stages.clone(),
             Recipe::Preset(name) if name == "box_cutter" || name == "fabrication" => {
                 vec![Stage::BoxCutter(self.box_cutter.clone())]
+            }
+            Recipe::Preset(name) if name == "defrag" || name == "scan" => vec![Stage::Defrag(self.defrag.clone())],
+            Recipe::Preset(name) if name == "scan_tight" => {
+                vec![Stage::Defrag(self.defrag.clone()), Stage::BoxCutter(self.box_cutter.clone())]
             }
             Recipe::Preset(_) => vec![Stage::Pack {}],
         }
@@ -106,6 +120,8 @@ pub enum Stage {
     /// Removes overlaps, welds, and cuts charts so that they pack better, then packs them. What a stage does not say is as in the
     /// job's `box_cutter`.
     BoxCutter(BoxCutter),
+    /// Merges charts along their seams, then packs them. What a stage does not say is as in the job's `defrag`.
+    Defrag(Defrag),
 }
 
 impl Stage {
@@ -114,6 +130,7 @@ impl Stage {
         match self {
             Stage::Pack {} => "pack",
             Stage::BoxCutter(_) => "box_cutter",
+            Stage::Defrag(_) => "defrag",
         }
     }
 }

@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use super::box_cutter::params::BoxCutter;
+use super::defrag::params::Defrag;
 use super::options::{Options, Pack, Recipe, Requirement, Stage, Texture};
 use crate::error::{Code, Failure};
 pub use words::nearest;
@@ -26,13 +27,21 @@ pub const RECIPES: &[(&str, &str)] = &[
         "box_cutter",
         "Removes overlaps, then cuts charts where that lets them pack better, within a budget of boundary length.",
     ),
+    ("defrag", "Merges charts along their seams without resampling more than it must, then packs them."),
+    ("scan", "For photogrammetry: merges charts, each placed for itself, and packs them tightly."),
+    (
+        "scan_tight",
+        "The same, then cuts charts within a budget of boundary length where that makes the textures smaller still.",
+    ),
     (
         "fabrication",
         "Cuts and packs 2D panels for sheets of material, without overlaps, and draws them as SVG with seam allowances or flaps.",
     ),
 ];
 /// Names of the contract that this version does not have yet.
-const LATER: &[&str] = &["defrag", "optcuts", "bounded", "scan"];
+const LATER: &[&str] = &["optcuts", "bounded"];
+/// Recipes that are no stages.
+const PRESETS: &[&str] = &["scan", "scan_tight", "fabrication"];
 
 /// One thing that is wrong with the options.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
@@ -76,11 +85,11 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
         let pointer = child("", key);
         match key.as_str() {
             "recipe" => {
-                let cutter = map.get("box_cutter").and_then(Value::as_object);
-                out.recipe = recipe(value, &pointer, cutter, &mut problems);
+                out.recipe = recipe(value, &pointer, map, &mut problems);
             }
             "pack" => out.pack = section_over(&out.pack, value, &pointer, &mut problems),
-            "box_cutter" => out.box_cutter = section::<BoxCutter>(value, &pointer, &mut problems),
+            "box_cutter" => out.box_cutter = section_over::<BoxCutter>(&out.box_cutter, value, &pointer, &mut problems),
+            "defrag" => out.defrag = section_over::<Defrag>(&out.defrag, value, &pointer, &mut problems),
             "texture" => out.texture = section::<Texture>(value, &pointer, &mut problems),
             "atlas" => out.atlas = section_over(&out.atlas, value, &pointer, &mut problems),
             "fabrication" if !value.is_null() => {
@@ -219,10 +228,10 @@ fn requirements(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> BT
     out
 }
 
-/// `cutter` is what the job's own `box_cutter` says: stages start from it.
-fn recipe(value: &Value, pointer: &str, cutter: Option<&Map<String, Value>>, problems: &mut Vec<Problem>) -> Recipe {
+/// `job` is what the job's options say beside the recipe: stages start from the parameters there.
+fn recipe(value: &Value, pointer: &str, job: &Map<String, Value>, problems: &mut Vec<Problem>) -> Recipe {
     match value {
-        Value::String(name) if name.contains(',') => recipe(&recipe_named(name), pointer, cutter, problems),
+        Value::String(name) if name.contains(',') => recipe(&recipe_named(name), pointer, job, problems),
         Value::String(name) => {
             if let Some(problem) = stage_problem(pointer, name) {
                 problems.push(problem);
@@ -235,7 +244,7 @@ fn recipe(value: &Value, pointer: &str, cutter: Option<&Map<String, Value>>, pro
             }
             let each = list.iter().take(MAX_STAGES).enumerate();
             // A stage that cannot be read keeps its place, so that the others' pointers are right.
-            let read = |(i, v)| stage(v, &format!("{pointer}/{i}"), cutter, problems).unwrap_or(Stage::Pack {});
+            let read = |(i, v)| stage(v, &format!("{pointer}/{i}"), job, problems).unwrap_or(Stage::Pack {});
             Recipe::Stages(each.map(read).collect())
         }
         other => {
@@ -246,12 +255,7 @@ fn recipe(value: &Value, pointer: &str, cutter: Option<&Map<String, Value>>, pro
     }
 }
 
-fn stage(
-    value: &Value,
-    pointer: &str,
-    cutter: Option<&Map<String, Value>>,
-    problems: &mut Vec<Problem>,
-) -> Option<Stage> {
+fn stage(value: &Value, pointer: &str, job: &Map<String, Value>, problems: &mut Vec<Problem>) -> Option<Stage> {
     let Some(name) = value.get("stage").and_then(Value::as_str) else {
         problems.push(Problem::new(pointer, "a stage is an object that names itself: {\"stage\": \"pack\"}"));
         return None;
@@ -261,20 +265,15 @@ fn stage(
         return None;
     }
     let before = problems.len();
-    if name == "fabrication" {
-        problems.push(Problem::new(child(pointer, "stage"), "`fabrication` is a recipe, not a stage"));
+    if PRESETS.contains(&name) {
+        problems.push(Problem::new(child(pointer, "stage"), format!("`{name}` is a recipe, not a stage")));
         return None;
     }
-    if name == "box_cutter" {
-        let mut own = value.as_object()?.clone();
-        own.remove("stage");
-        // Known keys only: what is wrong beside the recipe is told there.
-        let known = keys(&BoxCutter::default());
-        for (key, value) in cutter.into_iter().flatten().filter(|(k, _)| known.contains(k)) {
-            own.entry(key.clone()).or_insert_with(|| value.clone());
-        }
-        let params = section(&Value::Object(own), pointer, problems);
-        return (problems.len() == before).then_some(Stage::BoxCutter(params));
+    let own = value.as_object()?;
+    match name {
+        "box_cutter" => return parameters(own, job, pointer, problems).map(Stage::BoxCutter),
+        "defrag" => return parameters(own, job, pointer, problems).map(Stage::Defrag),
+        _ => {}
     }
     for key in value.as_object()?.keys().filter(|k| *k != "stage") {
         let at = child(pointer, key);
@@ -286,6 +285,26 @@ fn stage(
         return None;
     }
     typed(value, pointer).map_err(|p| problems.push(p)).ok()
+}
+
+/// A stage's own parameters over those that the job has for the stage.
+fn parameters<T: Serialize + DeserializeOwned + Default>(
+    stage: &Map<String, Value>,
+    job: &Map<String, Value>,
+    pointer: &str,
+    problems: &mut Vec<Problem>,
+) -> Option<T> {
+    let before = problems.len();
+    let mut own = stage.clone();
+    let name = own.remove("stage");
+    let beside = name.as_ref().and_then(Value::as_str).and_then(|n| job.get(n)).and_then(Value::as_object);
+    // Known keys only: what is wrong beside the recipe is told there.
+    let known = keys(&T::default());
+    for (key, value) in beside.into_iter().flatten().filter(|(k, _)| known.contains(k)) {
+        own.entry(key.clone()).or_insert_with(|| value.clone());
+    }
+    let params = section(&Value::Object(own), pointer, problems);
+    (problems.len() == before).then_some(params)
 }
 
 fn stage_problem(pointer: &str, name: &str) -> Option<Problem> {
@@ -419,6 +438,10 @@ mod tests {
         let Stage::BoxCutter(params) = &listed.stages()[0] else { panic!("{listed:?}") };
         assert_eq!((params.max_charts, params.max_boundary_length), (Some(9), Some(1.2)), "the stage's own come first");
 
+        let scan = options(&json!({"recipe": "scan_tight", "box_cutter": {"beam": 2}})).unwrap();
+        let names: Vec<&str> = scan.stages().iter().map(Stage::name).collect();
+        assert_eq!((names, scan.box_cutter.beam), (vec!["defrag", "box_cutter"], 2));
+
         let bad = json!({"recipe": [{"stage": "box_cutter", "max_chart": 9}, {"stage": "box_cutter", "beam": 0}], "box_cutter": {"alpha": 9}});
         let found: Vec<String> = options(&bad).unwrap_err().into_iter().map(|p| p.pointer).collect();
         assert_eq!(found, ["/recipe/0/max_chart", "/box_cutter/alpha", "/recipe/1/alpha", "/recipe/1/beam"]);
@@ -476,7 +499,11 @@ mod tests {
         assert_eq!(named("pack").unwrap().recipe, Recipe::Preset("pack".to_owned()));
         assert_eq!(named("pack, pack").unwrap().recipe, Recipe::Stages(vec![Stage::Pack {}, Stage::Pack {}]));
         assert!(named("pak").unwrap_err()[0].message.contains("did you mean `pack`?"));
-        assert!(named("defrag,pack").unwrap_err()[0].message.contains("not available"));
+        assert!(named("optcuts,pack").unwrap_err()[0].message.contains("not available"));
+        assert!(named("scan,pack").unwrap_err()[0].message.contains("is a recipe"));
+        let defrag = Stage::Defrag(Defrag { retry: false, ..Defrag::default() });
+        let listed = options(&json!({ "recipe": recipe_named("defrag,pack"), "defrag": {"retry": false} })).unwrap();
+        assert_eq!(listed.stages(), [defrag, Stage::Pack {}]);
         assert!(options(&json!({"recipe": []})).is_err());
         assert!(options(&json!({"recipe": 1})).is_err());
     }

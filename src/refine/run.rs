@@ -3,6 +3,7 @@
 use serde_json::Value;
 
 use super::box_cutter::box_cutter;
+use super::defrag::defrag;
 use super::deliver::deliver;
 use super::load::load;
 use super::options::{Gutter, Options, Pack, Stage};
@@ -138,6 +139,7 @@ fn run_stage(stage: &Stage, refinement: &mut Refinement<'_>, options: &Options, 
     let options = roomy.as_ref().unwrap_or(options);
     let staged = match stage {
         Stage::Pack {} => pack::pack(&refinement.atlas, &frame, options, context)?,
+        Stage::Defrag(params) => defrag(&refinement.atlas, &frame, params, options, context)?,
         Stage::BoxCutter(params) => {
             let weights: Option<Vec<[f64; 3]>> =
                 group.importance.as_ref().map(|i| refinement.atlas.provenance.iter().map(|p| i.at(p)).collect());

@@ -31,7 +31,16 @@ fn keep(atlas: &Atlas, wanted: impl Fn(DVec2) -> bool) -> Atlas {
 }
 
 fn frame() -> Frame {
-    Frame { id: 0, reference: [100, 100], unit: 1, mipmaps: false, is_virtual: true, animated: false, directions: false, joined: false }
+    Frame {
+        id: 0,
+        reference: [100, 100],
+        unit: 1,
+        mipmaps: false,
+        is_virtual: true,
+        animated: false,
+        directions: false,
+        joined: false,
+    }
 }
 
 fn options(gutter: u32) -> Options {

@@ -5,7 +5,7 @@ use std::collections::BinaryHeap;
 use glam::DVec2;
 
 use super::mesh::Mesh;
-use super::operation::{Kind, Operation, sides};
+use super::operation::{Kind, Operation, pairs};
 use super::params::{Defrag, Search};
 use crate::atlas::bvh::Bounds;
 use crate::atlas::rigid::Rigid;
@@ -18,19 +18,21 @@ mod collide;
 /// Vertices that move by less, in texels, leave their texels as they are: uploads hold float32.
 pub(super) const STILL: f64 = 4e-4;
 /// Rounds of rotations and positions.
-const ROUNDS: usize = 40;
+const ROUNDS: usize = 20;
 /// A round is the last when nothing moves by more, relative to the largest displacement.
-const SETTLED: f64 = 2e-3;
+const SETTLED: f64 = 0.02;
 /// Times that vertices are held where the border crossed, and the rest is tried again.
 const AGAIN: usize = 3;
 /// Faces that one merge may deform.
-const WIDEST: usize = 20_000;
+const WIDEST: usize = 6_000;
 /// Singular values of a face that is as good as lost.
 const LOST: f64 = 0.02;
 /// Times that triangles which are turned over are made stiffer.
-const HARDER: usize = 4;
+const HARDER: usize = 8;
 /// By how much.
-const STIFFER: f64 = 6.0;
+const STIFFER: f64 = 4.0;
+/// Triangles that may be turned over for that to be tried, and one in twenty of the rest.
+const MOST_FOLDS: usize = 12;
 /// How much more a chart may be deformed that is too small to matter.
 const ISLAND: f64 = 20.0;
 
@@ -150,8 +152,12 @@ pub(super) fn attempt(mesh: &Mesh, op: &Operation, params: &Defrag, scratch: &mu
         _ => &[(Target::Mean, false)],
     };
     for &(target, wide) in ways {
+        if wide && work as f64 > super::queue::knob("WORK", 1e4) {
+            break;
+        }
         scratch.begin(mesh);
-        let mut trial = Trial { mesh, op, params, scratch, target, wide, region, work, nodes: Vec::new(), band: Vec::new() };
+        let mut trial =
+            Trial { mesh, op, params, scratch, target, wide, region, work, nodes: Vec::new(), band: Vec::new() };
         let outcome = trial.run();
         (region, work) = (trial.region, trial.work);
         match outcome {
@@ -226,7 +232,7 @@ impl Trial<'_> {
     }
 
     fn run(&mut self) -> Result<Merge, Reason> {
-        let zip: Vec<(u32, u32)> = self.op.edges.iter().map(|&h| sides(self.mesh, h, self.op.kept)).collect();
+        let zip = pairs(self.mesh, self.op);
         let displaced = self.fuse(&zip);
         self.spread();
         self.gather()?;
@@ -261,8 +267,10 @@ impl Trial<'_> {
                     }
                 }
             }
-            if !held || again == AGAIN {
-                if std::env::var("DBG").is_ok() { self.debug(displaced, again); }
+            if !held || again == if self.band.len() > 2000 { 1 } else { AGAIN } {
+                if std::env::var("DBG").is_ok() {
+                    self.debug(displaced, again);
+                }
                 return Err(Reason::Overlap);
             }
             self.nodes.iter_mut().zip(&start).for_each(|(n, at)| n.at = *at);
@@ -273,10 +281,8 @@ impl Trial<'_> {
     /// Makes nodes of the vertices that become one, at their common place; gives the largest displacement.
     fn fuse(&mut self, zip: &[(u32, u32)]) -> f64 {
         let mesh = self.mesh;
-        let pairs: Vec<(u32, u32)> = zip
-            .iter()
-            .flat_map(|&(h, t)| [(mesh.start(h), mesh.end(t)), (mesh.end(h), mesh.start(t))])
-            .collect();
+        let pairs: Vec<(u32, u32)> =
+            zip.iter().flat_map(|&(h, t)| [(mesh.start(h), mesh.end(t)), (mesh.end(h), mesh.start(t))]).collect();
         let mut vertices: Vec<u32> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
         vertices.sort_unstable();
         vertices.dedup();
@@ -310,7 +316,9 @@ impl Trial<'_> {
                 .vertices
                 .iter()
                 .zip(&at)
-                .filter(|(u, _)| self.target == Target::Kept && !self.mesh.star[**u as usize].iter().any(|f| self.comes(*f)))
+                .filter(|(u, _)| {
+                    self.target == Target::Kept && !self.mesh.star[**u as usize].iter().any(|f| self.comes(*f))
+                })
                 .map(|(_, p)| *p);
             let (sum, count) = stays.fold((DVec2::ZERO, 0.0), |(s, c), p| (s + p, c + 1.0));
             let target = match count {
@@ -416,9 +424,12 @@ impl Trial<'_> {
             let n = c.map(|u| self.scratch.node(u));
             (0..3).any(|k| c[k] != c[(k + 1) % 3] && n[k].is_some() && n[k] == n[(k + 1) % 3])
         };
-        let vanishes = self.nodes.iter().filter(|n| n.seam).flat_map(|n| &n.vertices).any(|&u| {
-            self.mesh.star[u as usize].iter().any(collapses)
-        });
+        let vanishes = self
+            .nodes
+            .iter()
+            .filter(|n| n.seam)
+            .flat_map(|n| &n.vertices)
+            .any(|&u| self.mesh.star[u as usize].iter().any(collapses));
         if vanishes { Err(Reason::Fold) } else { Ok(()) }
     }
 
@@ -442,38 +453,70 @@ impl Trial<'_> {
             positions.push(self.aligned(u));
             free.push(false);
         }
-        let local = |u: u32| {
-            self.scratch.node(u).unwrap_or_else(|| nodes + others.partition_point(|v| *v < u) as u32)
-        };
+        let local = |u: u32| self.scratch.node(u).unwrap_or_else(|| nodes + others.partition_point(|v| *v < u) as u32);
         let triangles: Vec<[u32; 3]> = self.band.iter().map(|&f| mesh.corners[f as usize].map(local)).collect();
         let rest: Vec<[DVec2; 3]> = self.band.iter().map(|&f| mesh.shape(f)).collect();
         // Seam vertices that stay in no triangle of the band would have no equation.
         let mut used = vec![false; free.len()];
         triangles.iter().flatten().for_each(|v| used[*v as usize] = true);
         free.iter_mut().zip(&used).for_each(|(free, used)| *free &= used);
-        let mut stiffness = vec![1.0; rest.len()];
-        for harder in 0..=HARDER {
-            let patch = Patch { triangles: &triangles, rest: &rest, stiffness: &stiffness, free: &free };
-            let system = Arap::new(&patch).ok_or(Reason::Singular)?;
-            system.relax(&mut positions, ROUNDS, SETTLED * displaced);
-            self.work += (ROUNDS / 4 * self.band.len()) as u64;
-            // Triangles that are turned over resist more, and the rest gives way.
-            let mut folded = false;
-            for ((t, r), s) in triangles.iter().zip(&rest).zip(&mut stiffness) {
-                let now = t.map(|v| positions[v as usize]);
-                if super::mesh::sign(r) > 0 && jacobian(r, &now).is_some_and(|j| singular_values(&j)[1] < 2.0 * LOST) {
-                    *s *= STIFFER;
-                    folded = true;
-                }
-            }
-            if !folded || self.params.search == Search::Paper || harder > 0 && self.band.len() > 2000 {
-                break;
-            }
+        let usual = vec![1.0; rest.len()];
+        let patch = Patch { triangles: &triangles, rest: &rest, stiffness: &usual, free: &free };
+        let system = Arap::new(&patch).ok_or(Reason::Singular)?;
+        system.relax(&mut positions, ROUNDS, SETTLED * displaced);
+        self.work += (ROUNDS / 4 * self.band.len()) as u64;
+        if self.params.search == Search::Partial {
+            self.unfold(&triangles, &rest, &free, &mut positions)?;
         }
         if positions.iter().any(|p| !p.is_finite()) {
             return Err(Reason::Singular);
         }
         self.nodes.iter_mut().zip(positions).for_each(|(n, p)| n.at = p);
+        Ok(())
+    }
+
+    /// Where triangles are turned over, they are made stiffer and what is about them is optimised again: it gives way.
+    fn unfold(
+        &mut self,
+        triangles: &[[u32; 3]],
+        rest: &[[DVec2; 3]],
+        free: &[bool],
+        positions: &mut [DVec2],
+    ) -> Result<(), Reason> {
+        let mut stiffness = vec![1.0; rest.len()];
+        for harder in 0..HARDER {
+            let mut near = vec![false; free.len()];
+            let mut folded = 0;
+            for ((t, r), s) in triangles.iter().zip(rest).zip(&mut stiffness) {
+                let now = t.map(|v| positions[v as usize]);
+                if super::mesh::sign(r) > 0 && jacobian(r, &now).is_some_and(|j| singular_values(&j)[1] < 2.0 * LOST) {
+                    *s *= STIFFER;
+                    folded += 1;
+                    t.iter().for_each(|v| near[*v as usize] = true);
+                }
+            }
+            if folded == 0 {
+                break;
+            }
+            if folded > MOST_FOLDS + triangles.len() / 20 {
+                return Err(Reason::Fold);
+            }
+            for _ in 0..2 + harder / 2 {
+                let ring: Vec<u32> =
+                    triangles.iter().filter(|t| t.iter().any(|v| near[*v as usize])).flatten().copied().collect();
+                ring.into_iter().for_each(|v| near[v as usize] = true);
+            }
+            let own: Vec<usize> =
+                (0..triangles.len()).filter(|&i| triangles[i].iter().any(|v| near[*v as usize])).collect();
+            let (own_triangles, own_rest): (Vec<_>, Vec<_>) = own.iter().map(|&i| (triangles[i], rest[i])).unzip();
+            let own_stiffness: Vec<f64> = own.iter().map(|&i| stiffness[i]).collect();
+            let own_free: Vec<bool> = free.iter().zip(&near).map(|(free, near)| *free && *near).collect();
+            let patch =
+                Patch { triangles: &own_triangles, rest: &own_rest, stiffness: &own_stiffness, free: &own_free };
+            let system = Arap::new(&patch).ok_or(Reason::Singular)?;
+            system.relax(positions, ROUNDS, 0.0);
+            self.work += (ROUNDS / 4 * own.len()) as u64;
+        }
         Ok(())
     }
 
@@ -486,18 +529,52 @@ impl Trial<'_> {
             let rest = &self.mesh.rest[f as usize];
             let now = self.placed_triangle(f);
             let sign = super::mesh::sign(&now);
-            let wrong = sign != super::mesh::sign(rest)
-                && sign != 1;
+            let wrong = sign != super::mesh::sign(rest) && sign != 1;
             let lost = jacobian(rest, &now).is_none_or(|j| singular_values(&j)[1].abs() < LOST);
             if wrong || lost {
                 if std::env::var("DBGF").is_ok() {
                     let j = jacobian(rest, &now).map(|j| singular_values(&j));
-                    let t = rest; let h = 2.0 * self.mesh.weight[f as usize] / (0..3).map(|k| t[k].distance(t[(k + 1) % 3])).fold(0.0, f64::max);
+                    let t = rest;
+                    let h = 2.0 * self.mesh.weight[f as usize]
+                        / (0..3).map(|k| t[k].distance(t[(k + 1) % 3])).fold(0.0, f64::max);
                     let was = jacobian(rest, &self.mesh.triangle(f)).map(|j| singular_values(&j));
-                    let info: Vec<String> = self.mesh.corners[f as usize].iter().map(|u| match self.scratch.node(*u) { Some(n) => { let n = &self.nodes[n as usize]; format!("{}{}{}", if n.seam {"S"} else {"-"}, if n.free {"f"} else {"x"}, n.vertices.len()) } None => "o".to_owned() }).collect();
-                    let twins = (3 * f..3 * f + 3).map(|h| { let t = self.mesh.twin[h as usize]; if t == crate::atlas::NONE { "b".to_owned() } else { format!("{}", t / 3) } }).collect::<Vec<_>>().join(",");
+                    let info: Vec<String> = self.mesh.corners[f as usize]
+                        .iter()
+                        .map(|u| match self.scratch.node(*u) {
+                            Some(n) => {
+                                let n = &self.nodes[n as usize];
+                                format!(
+                                    "{}{}{}",
+                                    if n.seam { "S" } else { "-" },
+                                    if n.free { "f" } else { "x" },
+                                    n.vertices.len()
+                                )
+                            }
+                            None => "o".to_owned(),
+                        })
+                        .collect();
+                    let twins = (3 * f..3 * f + 3)
+                        .map(|h| {
+                            let t = self.mesh.twin[h as usize];
+                            if t == crate::atlas::NONE { "b".to_owned() } else { format!("{}", t / 3) }
+                        })
+                        .collect::<Vec<_>>()
+                        .join(",");
                     eprint!("was {:?} {info:?} face {f} twins {twins} rest {:?} now {:?} ", was, rest, now);
-                    eprintln!("F {:?} {:?} wide {} b {:.2} edges {} cost {:.2} band {} area {:.1} | weight {:.3} height {h:.3} s {:?} sign {} wrong {wrong}", self.op.kind, self.target, self.wide, self.op.benefit(self.mesh), self.op.edges.len(), self.op.cost, self.band.len(), self.mesh.charts[self.op.moved as usize].area, self.mesh.weight[f as usize], j.map(|j| [(j[0]*100.).round()/100., (j[1]*100.).round()/100.]), super::mesh::sign(rest));
+                    eprintln!(
+                        "F {:?} {:?} wide {} b {:.2} edges {} cost {:.2} band {} area {:.1} | weight {:.3} height {h:.3} s {:?} sign {} wrong {wrong}",
+                        self.op.kind,
+                        self.target,
+                        self.wide,
+                        self.op.benefit(self.mesh),
+                        self.op.edges.len(),
+                        self.op.cost,
+                        self.band.len(),
+                        self.mesh.charts[self.op.moved as usize].area,
+                        self.mesh.weight[f as usize],
+                        j.map(|j| [(j[0] * 100.).round() / 100., (j[1] * 100.).round() / 100.]),
+                        super::mesh::sign(rest)
+                    );
                 }
                 return Err(Reason::Fold);
             }
@@ -550,10 +627,64 @@ impl Trial<'_> {
     fn debug(&mut self, displaced: f64, again: usize) {
         let mesh = self.mesh;
         let placed: Vec<_> = self.band.iter().map(|&f| self.placed_triangle(f)).collect();
-        let mut depth = [0.0f64; 2]; let mut kinds = [0; 2];
-        for i in 0..placed.len() { for j in 0..i { if clash(mesh, self.band[i], &placed[i], self.band[j], &placed[j]) { depth[0] = depth[0].max(penetration(&placed[i], &placed[j])); kinds[0] += 1; let (p, q) = (self.band[i], self.band[j]); let name = |f: u32| format!("{f}:h{} s{}{} {}", mesh.home[f as usize], super::mesh::sign(&mesh.rest[f as usize]), super::mesh::sign(&placed[self.scratch.in_band(f).unwrap() as usize]), if mesh.chart_of[f as usize] == self.op.kept { "K" } else { "M" }); if kinds[0] < 4 { eprintln!("    before {:.3} now {:.3} {} {} shared {}", penetration(&mesh.rest[p as usize], &mesh.rest[q as usize]), penetration(&placed[i], &placed[j]), name(p), name(q), mesh.surface[p as usize].iter().filter(|v| mesh.surface[q as usize].contains(v)).count()); } } } }
-        for (i, &f) in self.band.iter().enumerate() { for c in [self.op.kept, self.op.moved] { for &g in &mesh.charts[c as usize].faces { if self.scratch.in_band(g).is_none() { let t = self.aligned_triangle(g); if clash(mesh, f, &placed[i], g, &t) { depth[1] = depth[1].max(penetration(&placed[i], &t)); kinds[1] += 1; } } } } }
-        eprintln!("{} {:?} {:?} wide {} b {:.2} again {again} edges {} displaced {displaced:.3} cost {:.3} band {} pairs {:?} depth {:?} area {:.1} {:.1}", if self.op.benefit(mesh) > 0.99 {"FULL"} else {"PART"}, self.op.kind, self.target, self.wide, self.op.benefit(mesh), self.op.edges.len(), self.op.cost, self.band.len(), kinds, depth, mesh.charts[self.op.kept as usize].area, mesh.charts[self.op.moved as usize].area);
+        let mut depth = [0.0f64; 2];
+        let mut kinds = [0; 2];
+        for i in 0..placed.len() {
+            for j in 0..i {
+                if clash(mesh, self.band[i], &placed[i], self.band[j], &placed[j]) {
+                    depth[0] = depth[0].max(penetration(&placed[i], &placed[j]));
+                    kinds[0] += 1;
+                    let (p, q) = (self.band[i], self.band[j]);
+                    let name = |f: u32| {
+                        format!(
+                            "{f}:h{} s{}{} {}",
+                            mesh.home[f as usize],
+                            super::mesh::sign(&mesh.rest[f as usize]),
+                            super::mesh::sign(&placed[self.scratch.in_band(f).unwrap() as usize]),
+                            if mesh.chart_of[f as usize] == self.op.kept { "K" } else { "M" }
+                        )
+                    };
+                    if kinds[0] < 4 {
+                        eprintln!(
+                            "    before {:.3} now {:.3} {} {} shared {}",
+                            penetration(&mesh.rest[p as usize], &mesh.rest[q as usize]),
+                            penetration(&placed[i], &placed[j]),
+                            name(p),
+                            name(q),
+                            mesh.surface[p as usize].iter().filter(|v| mesh.surface[q as usize].contains(v)).count()
+                        );
+                    }
+                }
+            }
+        }
+        for (i, &f) in self.band.iter().enumerate() {
+            for c in [self.op.kept, self.op.moved] {
+                for &g in &mesh.charts[c as usize].faces {
+                    if self.scratch.in_band(g).is_none() {
+                        let t = self.aligned_triangle(g);
+                        if clash(mesh, f, &placed[i], g, &t) {
+                            depth[1] = depth[1].max(penetration(&placed[i], &t));
+                            kinds[1] += 1;
+                        }
+                    }
+                }
+            }
+        }
+        eprintln!(
+            "{} {:?} {:?} wide {} b {:.2} again {again} edges {} displaced {displaced:.3} cost {:.3} band {} pairs {:?} depth {:?} area {:.1} {:.1}",
+            if self.op.benefit(mesh) > 0.99 { "FULL" } else { "PART" },
+            self.op.kind,
+            self.target,
+            self.wide,
+            self.op.benefit(mesh),
+            self.op.edges.len(),
+            self.op.cost,
+            self.band.len(),
+            kinds,
+            depth,
+            mesh.charts[self.op.kept as usize].area,
+            mesh.charts[self.op.moved as usize].area
+        );
     }
 }
 

@@ -36,7 +36,8 @@ pub(super) fn stays_flat(mesh: &Mesh, zip: &[(u32, u32)], within: bool) -> bool 
     }
     let mut empty = 0usize;
     for &(h, t) in zip {
-        let (Some(&hn), Some(&tn), Some(&hp), Some(&tp)) = (next.get(&h), next.get(&t), prev.get(&h), prev.get(&t)) else {
+        let (Some(&hn), Some(&tn), Some(&hp), Some(&tp)) = (next.get(&h), next.get(&t), prev.get(&h), prev.get(&t))
+        else {
             return false;
         };
         for e in [h, t] {

@@ -203,8 +203,12 @@ impl Mesh {
 
     /// Side of the smallest cells of grids: the usual size of faces.
     fn usual_size(&self) -> f64 {
-        let mut sizes: Vec<f64> =
-            self.rest.iter().map(|r| Bounds::of(r).size().max_element()).filter(|s| *s > 0.0 && s.is_finite()).collect();
+        let mut sizes: Vec<f64> = self
+            .rest
+            .iter()
+            .map(|r| Bounds::of(r).size().max_element())
+            .filter(|s| *s > 0.0 && s.is_finite())
+            .collect();
         sizes.sort_unstable_by(f64::total_cmp);
         sizes.get(sizes.len() / 2).copied().unwrap_or(1.0).max(1e-9)
     }
@@ -254,7 +258,8 @@ impl Mesh {
     /// that lie back to back.
     pub(super) fn shape(&self, face: u32) -> [DVec2; 3] {
         let rest = self.rest[face as usize];
-        let [a, b, c] = [0, 1, 2].map(|k| self.twin[3 * face as usize + k]).map(|t| if t == NONE { NONE } else { t / 3 });
+        let [a, b, c] =
+            [0, 1, 2].map(|k| self.twin[3 * face as usize + k]).map(|t| if t == NONE { NONE } else { t / 3 });
         let back_to_back = a == b && a != NONE || b == c && b != NONE || a == c && a != NONE;
         if sign(&rest) < 0 && !back_to_back { rest.map(mirror) } else { rest }
     }

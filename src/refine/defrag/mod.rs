@@ -29,6 +29,7 @@ use self::queue::Queue;
 use super::options::{Options, OverlapMode, Rotation};
 use super::pack::{keeps_input, lay_out};
 use super::stage::{Frame, Staged};
+use crate::atlas::bvh::Bounds;
 use crate::atlas::{Atlas, Charts, Topology, clusters};
 use crate::context::Context;
 use crate::error::{Result, Warning};
@@ -63,7 +64,7 @@ pub(crate) fn defrag(
     let placed = place::place(mesh, atlas, params.min_preserved, frame, options.pack.rotation != Rotation::Any);
     figures.insert("preserved_area".to_owned(), json!(placed.preserved));
     context.step(0.75, "packing")?;
-    let (laid, work) = lay_out(&placed.atlas, frame, options, &[], 1.0, context)?;
+    let (laid, work) = lay_out(&placed.atlas, frame, options, &[], &placed.free, 1.0, context)?;
     figures.insert("pack_work".to_owned(), json!(work));
     let staged = Staged { atlas: laid, stopped_by: "done", figures, kept: false };
     if keeps_input(atlas, &staged.atlas, frame, options) {
@@ -156,16 +157,47 @@ fn merge_charts(
         let mut rows: Vec<(f64, String)> = Vec::new();
         for ((a, b), edges) in mesh.links() {
             let length: f64 = edges.iter().map(|&h| mesh.length(h)).sum();
-            let ops: Vec<String> = queue.entries.iter().filter(|e| e.standing != queue::Standing::Gone && (e.op.kept.min(e.op.moved), e.op.kept.max(e.op.moved)) == (a, b)).map(|e| {
-                let reason = e.known.as_ref().map(|k| format!("{:?}", k.0.outcome.as_ref().err())).unwrap_or_default();
-                format!("{:?}:{}e {} b{:.2} f{} cost {:.1} {:?}", e.op.kind, e.op.edges.len(), reason, e.op.benefit(&mesh), e.op.fails, e.op.cost, e.standing)
-            }).collect();
-            rows.push((length, format!("{a}({}f {:.0}) {b}({}f {:.0}) edges {} length {length:.0} | {}", mesh.charts[a as usize].faces.len(), mesh.charts[a as usize].area, mesh.charts[b as usize].faces.len(), mesh.charts[b as usize].area, edges.len(), ops.join(" | "))));
+            let ops: Vec<String> = queue
+                .entries
+                .iter()
+                .filter(|e| {
+                    e.standing != queue::Standing::Gone
+                        && (e.op.kept.min(e.op.moved), e.op.kept.max(e.op.moved)) == (a, b)
+                })
+                .map(|e| {
+                    let reason =
+                        e.known.as_ref().map(|k| format!("{:?}", k.0.outcome.as_ref().err())).unwrap_or_default();
+                    format!(
+                        "{:?}:{}e {} b{:.2} f{} cost {:.1} {:?}",
+                        e.op.kind,
+                        e.op.edges.len(),
+                        reason,
+                        e.op.benefit(&mesh),
+                        e.op.fails,
+                        e.op.cost,
+                        e.standing
+                    )
+                })
+                .collect();
+            rows.push((
+                length,
+                format!(
+                    "{a}({}f {:.0}) {b}({}f {:.0}) edges {} length {length:.0} | {}",
+                    mesh.charts[a as usize].faces.len(),
+                    mesh.charts[a as usize].area,
+                    mesh.charts[b as usize].faces.len(),
+                    mesh.charts[b as usize].area,
+                    edges.len(),
+                    ops.join(" | ")
+                ),
+            ));
         }
         rows.sort_by(|a, b| b.0.total_cmp(&a.0));
         let all: f64 = rows.iter().map(|r| r.0).sum();
         eprintln!("all {all:.0}");
-        for (_, r) in rows.iter().take(14) { eprintln!("{}", r.chars().take(420).collect::<String>()); }
+        for (_, r) in rows.iter().take(14) {
+            eprintln!("{}", r.chars().take(420).collect::<String>());
+        }
     }
     let total: f64 = mesh.energy.iter().sum();
     let failures: Map<String, Value> =
@@ -201,12 +233,36 @@ fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, p
         .par_iter()
         .map(|&e| {
             let mut scratch = pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-            let found = attempt(mesh, &entries[e as usize].op, params, &mut scratch);
+            let op = &entries[e as usize].op;
+            let found = if border::stays_flat(mesh, &operation::pairs(mesh, op), op.kept == op.moved) {
+                attempt(mesh, op, params, &mut scratch)
+            } else {
+                Attempt { outcome: Err(Reason::Topology), region: Bounds::EMPTY, work: op.edges.len() as u64 }
+            };
             pool.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
             found
         })
         .collect();
     let work = found.iter().map(|a| a.work).sum();
+    if std::env::var("DBG3").is_ok() {
+        for (&e, a) in batch.iter().zip(&found) {
+            let op = &queue.entries[e as usize].op;
+            let l = 0.5 * (op.lengths[0] + op.lengths[1]);
+            eprintln!(
+                "A {:?} {:.3} {} work {} f{} edges {} cost {:.1}",
+                op.kind,
+                op.cost / l,
+                match &a.outcome {
+                    Ok(_) => "ok",
+                    Err(r) => r.name(),
+                },
+                a.work,
+                op.fails,
+                op.edges.len(),
+                op.cost
+            );
+        }
+    }
     for (&e, attempt) in batch.iter().zip(found) {
         queue.remember(mesh, e, attempt);
     }
@@ -218,7 +274,9 @@ fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, p
 
 #[cfg(debug_assertions)]
 /// x
-pub fn dev(atlas: &Atlas, frame: &Frame, params: &Defrag, options: &Options) -> (Atlas, Map<String, Value>) { dev_(atlas, frame, params, options) }
+pub fn dev(atlas: &Atlas, frame: &Frame, params: &Defrag, options: &Options) -> (Atlas, Map<String, Value>) {
+    dev_(atlas, frame, params, options)
+}
 /// x
 pub fn dev_(atlas: &Atlas, frame: &Frame, params: &Defrag, options: &Options) -> (Atlas, Map<String, Value>) {
     let charts = Charts::new(&Topology::new(atlas));

@@ -79,7 +79,8 @@ impl Operation {
         let within = a == b;
         let mut whole_texels = within;
         let cost = |motion: &Rigid| {
-            pairs.iter().map(|&(own, across)| at(own).distance(motion.apply(at(across)))).sum::<f64>() / pairs.len() as f64
+            pairs.iter().map(|&(own, across)| at(own).distance(motion.apply(at(across)))).sum::<f64>()
+                / pairs.len() as f64
         };
         let mut motion = Rigid::IDENTITY;
         if !within {
@@ -146,6 +147,11 @@ impl Operation {
             Appeal::Random => self.chance * back_off,
         }
     }
+}
+
+/// The pairs of half edges that an operation makes one, those of the kept chart first.
+pub(super) fn pairs(mesh: &Mesh, op: &Operation) -> Vec<(u32, u32)> {
+    op.edges.iter().map(|&h| sides(mesh, h, op.kept)).collect()
 }
 
 /// The half edges of a pair: that of chart `kept` first. Within a chart: as given.

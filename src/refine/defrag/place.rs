@@ -43,12 +43,8 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
         }
         // Area that was only moved, by chart of the input.
         let mut moved: Vec<(u32, f64, Vec<u32>)> = Vec::new();
-        let mut faces: Vec<(u32, u32)> = chart
-            .faces
-            .iter()
-            .filter(|&&f| !mesh.deformed[f as usize])
-            .map(|&f| (mesh.home[f as usize], f))
-            .collect();
+        let mut faces: Vec<(u32, u32)> =
+            chart.faces.iter().filter(|&&f| !mesh.deformed[f as usize]).map(|&f| (mesh.home[f as usize], f)).collect();
         faces.sort_unstable();
         for own in faces.chunk_by(|a, b| a.0 == b.0) {
             let home = own[0].0;
@@ -114,7 +110,8 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
     let (corners, chart_of) = (mesh.corners.clone(), mesh.chart_of.clone());
     let atlas = mesh.into_atlas(before, |f, own| {
         let c = chart_of[f as usize] as usize;
-        let now = if touched[c] { [0, 1, 2].map(|k| at[corners[f as usize][k] as usize].unwrap_or(own[k])) } else { own };
+        let now =
+            if touched[c] { [0, 1, 2].map(|k| at[corners[f as usize][k] as usize].unwrap_or(own[k])) } else { own };
         if mirrored[c] { now.map(mirror) } else { now }
     });
     Placed { atlas, free: in_order, preserved: preserved / f64::max(total, 1e-300) }
@@ -135,10 +132,7 @@ fn on_grid(a: &Rigid, b: &Rigid, rest: &[DVec2; 3], unit: f64) -> bool {
 
 /// The motion by quarter turns and whole units that is nearest.
 fn whole(motion: &Rigid, unit: f64) -> Rigid {
-    let (cos, sin) = if motion.cos.abs() >= motion.sin.abs() {
-        (motion.cos.signum(), 0.0)
-    } else {
-        (0.0, motion.sin.signum())
-    };
+    let (cos, sin) =
+        if motion.cos.abs() >= motion.sin.abs() { (motion.cos.signum(), 0.0) } else { (0.0, motion.sin.signum()) };
     Rigid { cos, sin, translate: (motion.translate / unit).round() * unit }
 }

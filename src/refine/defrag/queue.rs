@@ -10,6 +10,15 @@ use super::params::{Defrag, Search};
 use crate::atlas::bvh::Bounds;
 use crate::packing::Random;
 
+/// Mean misalignment of a seam, in its lengths, beyond which merges all but never succeed.
+const CROOKED: f64 = 0.4;
+
+/// The least benefit of a part of a seam, relative to that of a whole one.
+const PART: f64 = 0.5;
+
+/// Work that may be spent on an operation that fails.
+const RETRY: f64 = 5e4;
+
 /// Where an operation stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Standing {
@@ -32,6 +41,8 @@ pub(super) struct Entry {
     link: u32,
     /// Entries of the heap with another number are stale.
     stamp: u32,
+    /// Whether its parts are in the queue.
+    apart: bool,
     /// What was found out ahead of its turn, or why it failed; with the number of changes of both charts by then.
     pub known: Option<(Attempt, [usize; 2])>,
 }
@@ -45,8 +56,6 @@ struct Link {
     entries: Vec<u32>,
     /// The most that one of its operations failed.
     fails: u32,
-    /// How far it was taken apart.
-    split: bool,
 }
 
 /// The queue.
@@ -112,7 +121,7 @@ impl<'a> Queue<'a> {
         let own = &self.entries[entry as usize];
         let (attempt, seen) = own.known.as_ref()?;
         let [kept, moved] = [own.op.kept, own.op.moved].map(|c| &mesh.charts[c as usize].changes);
-        let untouched = kept[seen[0]..].iter().all(|b| !b.meets(&attempt.region));
+        let untouched = kept.get(seen[0]..)?.iter().all(|b| !b.meets(&attempt.region));
         let same = own.op.kept == own.op.moved || moved.len() == seen[1];
         (untouched && same).then_some(attempt)
     }
@@ -128,11 +137,13 @@ impl<'a> Queue<'a> {
     pub(super) fn failed(&mut self, mesh: &Mesh, entry: u32, reason: Reason) {
         let own = &mut self.entries[entry as usize];
         own.op.fails += 1;
-        own.standing = if matches!(reason, Reason::Global | Reason::Resampled) { Standing::Gone } else { Standing::Failed };
+        own.standing =
+            if matches!(reason, Reason::Global | Reason::Resampled) { Standing::Gone } else { Standing::Failed };
+        let first = !std::mem::replace(&mut own.apart, true);
         let (kind, link, fails, edges) = (own.op.kind, own.link, own.op.fails, own.op.edges.clone());
         let shared = &mut self.links[link as usize];
         shared.fails = shared.fails.max(fails);
-        if self.params.search == Search::Partial && fails == 1 {
+        if self.params.search == Search::Partial && first {
             self.take_apart(mesh, link, kind, &edges);
         }
     }
@@ -154,27 +165,63 @@ impl<'a> Queue<'a> {
     fn add(&mut self, mesh: &Mesh, link: u32, kind: Kind, edges: Vec<u32>, fails: u32) {
         let chance = self.random.unit();
         let Some(op) = Operation::new(mesh, kind, edges, fails, self.params, self.unit, chance) else { return };
+        if self.params.search == Search::Partial
+            && kind == Kind::Stretch
+            && op.cost > knob("CROOKED", CROOKED) * 0.5 * (op.lengths[0] + op.lengths[1])
+            && op.cost > knob("FLOOR", 4.0)
+        {
+            // Hopeless as it is: its parts may do.
+            self.take_apart(mesh, link, kind, &op.edges);
+            return;
+        }
         let entry = self.entries.len() as u32;
         let small = self.is_small(mesh, &op);
-        self.entries.push(Entry { op, standing: Standing::Small, link, stamp: 0, known: None });
+        self.entries.push(Entry { op, standing: Standing::Small, link, stamp: 0, apart: false, known: None });
         self.links[link as usize].entries.push(entry);
         if !small {
             self.push(entry);
         }
     }
 
+    /// Whether an operation that failed is worth another try: the dearer it is, the fewer.
+    fn may_retry(&self, entry: u32) -> bool {
+        let own = &self.entries[entry as usize];
+        self.params.search == Search::Paper
+            || own.known.as_ref().is_none_or(|(attempt, _)| {
+                u64::from(own.op.fails) * attempt.work <= super::queue::knob("RETRY", RETRY) as u64
+            })
+    }
+
     fn is_small(&self, mesh: &Mesh, op: &Operation) -> bool {
-        op.kept != op.moved && op.benefit(mesh) < self.params.min_benefit
+        op.kept != op.moved
+            && op.benefit(mesh)
+                < self.params.min_benefit * if op.kind == Kind::Whole { 1.0 } else { knob("PART", PART) }
     }
 
     /// Makes the operations of a link anew.
     fn enumerate(&mut self, mesh: &Mesh, link: u32, within: bool) {
         let own = &mut self.links[link as usize];
         let (edges, fails) = (own.edges.clone(), own.fails);
-        own.split = false;
-        for entry in std::mem::take(&mut own.entries) {
-            self.entries[entry as usize].standing = Standing::Gone;
-            self.entries[entry as usize].known = None;
+        let old = std::mem::take(&mut own.entries);
+        let groups = if within && !edges.is_empty() { runs(mesh, &edges) } else { Vec::new() };
+        // Groups within a chart that are as they were, where nothing changed, stay.
+        let same: std::collections::BTreeSet<&Vec<u32>> = groups.iter().collect();
+        let mut kept: std::collections::BTreeSet<Vec<u32>> = std::collections::BTreeSet::new();
+        for entry in old {
+            let own = &self.entries[entry as usize];
+            let stays = within
+                && own.op.kind == Kind::Within
+                && own.standing != Standing::Gone
+                && same.contains(&own.op.edges)
+                && own.op.kept == own.op.moved
+                && self.known(mesh, entry).is_some();
+            if stays {
+                kept.insert(self.entries[entry as usize].op.edges.clone());
+                self.links[link as usize].entries.push(entry);
+            } else {
+                self.entries[entry as usize].standing = Standing::Gone;
+                self.entries[entry as usize].known = None;
+            }
         }
         if edges.is_empty() {
             return;
@@ -183,7 +230,7 @@ impl<'a> Queue<'a> {
             self.add(mesh, link, Kind::Whole, edges, fails);
             return;
         }
-        for group in runs(mesh, &edges) {
+        for group in groups.into_iter().filter(|g| !kept.contains(g)) {
             self.add(mesh, link, Kind::Within, group, fails.min(8));
         }
     }
@@ -277,7 +324,7 @@ impl<'a> Queue<'a> {
                     Standing::Queued if small => self.entries[e as usize].standing = Standing::Small,
                     Standing::Queued if moves => self.push(e),
                     Standing::Small if !small => self.push(e),
-                    Standing::Failed if again && !small => self.push(e),
+                    Standing::Failed if again && !small && self.may_retry(e) => self.push(e),
                     _ => {}
                 }
             }
@@ -313,7 +360,8 @@ fn along(mesh: &Mesh, edges: &[u32]) -> Vec<u32> {
     }
     let mut ordered = Vec::with_capacity(edges.len());
     let mut left = by_start.clone();
-    let starts: Vec<u32> = by_start.keys().copied().filter(|s| !is_end.contains(s)).chain(by_start.keys().copied()).collect();
+    let starts: Vec<u32> =
+        by_start.keys().copied().filter(|s| !is_end.contains(s)).chain(by_start.keys().copied()).collect();
     for start in starts {
         let mut at = start;
         while let Some(h) = left.remove(&at) {
@@ -355,4 +403,9 @@ impl Ord for Turn {
     fn cmp(&self, other: &Self) -> Ordering {
         other.rank.total_cmp(&self.rank).then(other.entry.cmp(&self.entry)).then(other.stamp.cmp(&self.stamp))
     }
+}
+
+/// x
+pub(super) fn knob(name: &str, value: f64) -> f64 {
+    std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(value)
 }

@@ -3,6 +3,7 @@
 use super::words::{child, name, short};
 use super::{MAX_METADATA_BYTES, Problem};
 use crate::refine::box_cutter::params::BoxCutter;
+use crate::refine::defrag::params::Defrag;
 use crate::refine::importance::attribute_and_component;
 use crate::refine::options::{ImportanceSource, Options, Recipe, Size, Stage};
 
@@ -19,10 +20,14 @@ pub(super) fn ranges(o: &Options) -> Vec<Problem> {
         within("/pack/aspect", aspect, 0.01, 100.0);
     }
     cutter_ranges("/box_cutter", &o.box_cutter, &mut within);
+    defrag_ranges("/defrag", &o.defrag, &mut within);
     if let Recipe::Stages(stages) = &o.recipe {
         for (i, stage) in stages.iter().enumerate() {
-            if let Stage::BoxCutter(params) = stage {
-                cutter_ranges(&format!("/recipe/{i}"), params, &mut within);
+            let at = format!("/recipe/{i}");
+            match stage {
+                Stage::BoxCutter(params) => cutter_ranges(&at, params, &mut within),
+                Stage::Defrag(params) => defrag_ranges(&at, params, &mut within),
+                Stage::Pack {} => {}
             }
         }
     }
@@ -104,4 +109,16 @@ fn cutter_ranges(at: &str, p: &BoxCutter, within: &mut impl FnMut(&str, f64, f64
     check("patience", Some(p.patience.into()), 1.0, 1000.0);
     check("beam", Some(p.beam.into()), 1.0, 64.0);
     check("weld_loss", Some(p.weld_loss), 0.0, 1.0);
+}
+
+fn defrag_ranges(at: &str, p: &Defrag, within: &mut impl FnMut(&str, f64, f64, f64)) {
+    let mut check = |key: &str, value: f64, high: f64| within(&child(at, key), value, 0.0, high);
+    check("alpha", p.alpha, 100.0);
+    check("max_local_energy", p.max_local_energy, 10.0);
+    check("max_global_energy", p.max_global_energy, 10.0);
+    check("max_misalignment", p.max_misalignment, 100.0);
+    check("min_benefit", p.min_benefit, 1.0);
+    check("max_resampled", p.max_resampled, 1.0);
+    check("island_area", p.island_area, 1e6);
+    check("min_preserved", p.min_preserved, 1.0);
 }
