@@ -5,3 +5,4 @@
 pub(crate) mod arap;
 pub(crate) mod cholesky;
 pub(crate) mod energy;
+pub(crate) mod untangle;

@@ -12,6 +12,7 @@ use crate::atlas::rigid::Rigid;
 use crate::atlas::{find_root, penetration, triangles_overlap};
 use crate::numeric::arap::{Arap, Patch};
 use crate::numeric::energy::{jacobian, singular_values};
+use crate::numeric::untangle::untangle;
 
 mod collide;
 
@@ -28,7 +29,7 @@ const WIDEST: usize = 6_000;
 /// Singular values of a face that is as good as lost.
 const LOST: f64 = 0.02;
 /// Times that triangles which are turned over are made stiffer.
-const HARDER: usize = 8;
+const HARDER: usize = 3;
 /// By how much.
 const STIFFER: f64 = 4.0;
 /// Triangles that may be turned over for that to be tried, and one in twenty of the rest.
@@ -483,6 +484,7 @@ impl Trial<'_> {
         free: &[bool],
         positions: &mut [DVec2],
     ) -> Result<(), Reason> {
+        let areas: Vec<f64> = rest.iter().map(|r| 0.5 * (r[1] - r[0]).perp_dot(r[2] - r[0])).collect();
         let mut stiffness = vec![1.0; rest.len()];
         for harder in 0..HARDER {
             let mut near = vec![false; free.len()];
@@ -495,12 +497,29 @@ impl Trial<'_> {
                     t.iter().for_each(|v| near[*v as usize] = true);
                 }
             }
+            if std::env::var("DBGF").is_ok() && self.op.edges.len() > 30 {
+                eprintln!(
+                    "U {:?} {:?} wide {} edges {} cost {:.1} band {} harder {harder} folded {folded}",
+                    self.op.kind,
+                    self.target,
+                    self.wide,
+                    self.op.edges.len(),
+                    self.op.cost,
+                    self.band.len()
+                );
+            }
             if folded == 0 {
                 break;
             }
             if folded > MOST_FOLDS + triangles.len() / 20 {
                 return Err(Reason::Fold);
             }
+            let before = positions.to_vec();
+            self.work += triangles.len() as u64;
+            if untangle(triangles, &areas, free, 3.0 * LOST, positions) {
+                break;
+            }
+            positions.copy_from_slice(&before);
             for _ in 0..2 + harder / 2 {
                 let ring: Vec<u32> =
                     triangles.iter().filter(|t| t.iter().any(|v| near[*v as usize])).flatten().copied().collect();
@@ -532,50 +551,6 @@ impl Trial<'_> {
             let wrong = sign != super::mesh::sign(rest) && sign != 1;
             let lost = jacobian(rest, &now).is_none_or(|j| singular_values(&j)[1].abs() < LOST);
             if wrong || lost {
-                if std::env::var("DBGF").is_ok() {
-                    let j = jacobian(rest, &now).map(|j| singular_values(&j));
-                    let t = rest;
-                    let h = 2.0 * self.mesh.weight[f as usize]
-                        / (0..3).map(|k| t[k].distance(t[(k + 1) % 3])).fold(0.0, f64::max);
-                    let was = jacobian(rest, &self.mesh.triangle(f)).map(|j| singular_values(&j));
-                    let info: Vec<String> = self.mesh.corners[f as usize]
-                        .iter()
-                        .map(|u| match self.scratch.node(*u) {
-                            Some(n) => {
-                                let n = &self.nodes[n as usize];
-                                format!(
-                                    "{}{}{}",
-                                    if n.seam { "S" } else { "-" },
-                                    if n.free { "f" } else { "x" },
-                                    n.vertices.len()
-                                )
-                            }
-                            None => "o".to_owned(),
-                        })
-                        .collect();
-                    let twins = (3 * f..3 * f + 3)
-                        .map(|h| {
-                            let t = self.mesh.twin[h as usize];
-                            if t == crate::atlas::NONE { "b".to_owned() } else { format!("{}", t / 3) }
-                        })
-                        .collect::<Vec<_>>()
-                        .join(",");
-                    eprint!("was {:?} {info:?} face {f} twins {twins} rest {:?} now {:?} ", was, rest, now);
-                    eprintln!(
-                        "F {:?} {:?} wide {} b {:.2} edges {} cost {:.2} band {} area {:.1} | weight {:.3} height {h:.3} s {:?} sign {} wrong {wrong}",
-                        self.op.kind,
-                        self.target,
-                        self.wide,
-                        self.op.benefit(self.mesh),
-                        self.op.edges.len(),
-                        self.op.cost,
-                        self.band.len(),
-                        self.mesh.charts[self.op.moved as usize].area,
-                        self.mesh.weight[f as usize],
-                        j.map(|j| [(j[0] * 100.).round() / 100., (j[1] * 100.).round() / 100.]),
-                        super::mesh::sign(rest)
-                    );
-                }
                 return Err(Reason::Fold);
             }
         }
