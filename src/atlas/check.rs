@@ -264,12 +264,13 @@ fn uv_before(before: &Atlas, after: &Atlas, face: FaceId) -> [DVec2; 3] {
     provenance.barycentric.map(|b| source[0] * b.x + source[1] * b.y + source[2] * b.z)
 }
 
-/// Faces whose orientation is neither their chart's nor, against that of the source, what their chart's is: so a chart
-/// may be mirrored as a whole, one that was folded in the input stays folded, and charts may be mirrored to be merged.
+/// Faces whose orientation is neither their chart's nor, against that of the source, what their chart's is, and was their chart's in the
+/// input: so a chart may be mirrored as a whole, what was folded in the input may stay folded, and charts may be mirrored to be merged.
 /// And faces that lost their area, though at their chart's scale (or the atlas', if less) the input's would be seen.
 fn flips(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> {
     let slack = exactness.texels(extent(after));
     let charts = Charts::new(&Topology::new(after));
+    let folded = folded(before);
     let total = |of: &dyn Fn(FaceId) -> f64| after.faces().map(of).sum::<f64>();
     let common_scale =
         (total(&|f| after.uv_area(f).abs()) / total(&|f| triangle_area(&uv_before(before, after, f)))).sqrt();
@@ -291,7 +292,10 @@ fn flips(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> 
         // A chart that is all rounding has no scale of its own.
         let scale = if area > 0.0 { (area / input_area).sqrt().min(common_scale) } else { common_scale };
         for (&f, (now, source)) in faces.iter().zip(signs) {
-            let flipped = now * chart < 0.0 && now * source * turned < 0.0 && height(&after.uv_triangle(f)) > slack;
+            let flipped = now * chart < 0.0
+                && now * source * turned < 0.0
+                && !folded[after.provenance[f.index()].source.index()]
+                && height(&after.uv_triangle(f)) > slack;
             let lost = || common_scale == 0.0 || scale * height(&uv_before(before, after, f)) > 2.0 * slack;
             if source != 0.0 && (flipped || now == 0.0 && lost()) {
                 bad.push(Violation::Flipped(f));
@@ -299,6 +303,19 @@ fn flips(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> 
         }
     }
     bad
+}
+
+/// By face: whether it lies against its chart's orientation.
+fn folded(atlas: &Atlas) -> Vec<bool> {
+    let mut folded = vec![false; atlas.face_count()];
+    for faces in &Charts::new(&Topology::new(atlas)).faces {
+        let chart: f64 = faces.iter().map(|&f| atlas.uv_area(f)).filter(|a| a.is_finite()).sum();
+        for &f in faces {
+            let [a, b, c] = atlas.uv_triangle(f);
+            folded[f.index()] = f64::from(orientation(a, b, c)) * chart < 0.0;
+        }
+    }
+    folded
 }
 
 fn triangle_area(t: &[DVec2; 3]) -> f64 {

@@ -70,8 +70,9 @@ impl Options {
     pub fn preset(name: &str) -> Self {
         let mut options = Options { recipe: Recipe::Preset(name.to_owned()), ..Options::default() };
         if name == "scan" || name == "scan_tight" {
-            // Charts of scans that share a few texels do so by accident.
-            options.atlas = AtlasOptions { overlaps: OverlapMode::Separate, ..options.atlas };
+            // Charts of scans that share a few texels do so by accident; fewer seams are a gain whatever the size.
+            options.atlas =
+                AtlasOptions { overlaps: OverlapMode::Separate, if_larger: IfLarger::Accept, ..options.atlas };
             // Texels that were kept so far are kept.
             options.box_cutter = BoxCutter { max_boundary_length: Some(1.3), weld: false, ..options.box_cutter };
         }

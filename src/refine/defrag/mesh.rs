@@ -30,7 +30,7 @@ pub(super) struct Chart {
     pub main: u32,
     /// Whether its border falls into loops: not where more than two faces share an edge.
     pub sound: bool,
-    /// Whether it may be merged at all.
+    /// Whether it may be merged at all: not where its own faces are wound both ways.
     pub open: bool,
     /// What became of it, in order: where it changed, in its own coordinates.
     pub changes: Vec<Bounds>,
@@ -113,7 +113,9 @@ impl Mesh {
         let mut link = vec![NONE; 3 * n];
         for h in 0..3 * n as u32 {
             let t = topology.surface_twin[h as usize];
-            if topology.is_seam(h) && topology.is_seam(t) && opposite(h, t) {
+            // Sides of a surface that is wound one way here and another there would look folded to each other.
+            let alike = || turned[h as usize / 3] == turned[t as usize / 3];
+            if topology.is_seam(h) && topology.is_seam(t) && opposite(h, t) && alike() {
                 link[h as usize] = t;
             }
         }
@@ -177,11 +179,12 @@ impl Mesh {
         for (c, faces) in charts.faces.iter().enumerate() {
             let faces: Vec<u32> = faces.iter().map(|f| f.0).collect();
             let finite = faces.iter().all(|&f| mesh.triangle(f).iter().all(|p| p.is_finite()));
+            let one_winding = faces.windows(2).all(|w| mesh.turned[w[0] as usize] == mesh.turned[w[1] as usize]);
             let mut chart = Chart {
                 parts: vec![c as u32],
                 main: c as u32,
                 sound: sound[c],
-                open: open[c] && finite,
+                open: open[c] && finite && one_winding,
                 grid: Grid::new(cell),
                 ..Chart::default()
             };
