@@ -90,7 +90,7 @@ fn cut(files: &[File], budget: f64, search: Search, cuts: Cuts) -> Option<Found>
     options.box_cutter.max_boundary_length = Some(budget);
     options.box_cutter.search = search;
     options.box_cutter.cuts = cuts;
-    let (outcome, seconds) = run(files.to_vec(), &options).ok()?;
+    let (outcome, seconds) = run(files.to_vec(), &options, &Context::silent()).ok()?;
     let stage = &outcome.report["stages"][0];
     let figure = |value: &Value| value.as_f64();
     Some(Found {

@@ -64,10 +64,10 @@ fn machine() -> String {
     format!("{model}, {} threads", rayon::current_num_threads())
 }
 
-/// Refines a model; the result and the seconds.
-pub fn run(files: Vec<File>, options: &Options) -> Result<(Outcome, f64), String> {
+/// Refines a model; the result and the seconds. `context` knows those of each stage.
+pub fn run(files: Vec<File>, options: &Options, context: &Context) -> Result<(Outcome, f64), String> {
     let start = Instant::now();
     let input = Input { models: vec![files], ..Input::default() };
-    let outcome = refine(&input, options, &Context::silent()).map_err(|e| e.to_string())?;
+    let outcome = refine(&input, options, context).map_err(|e| e.to_string())?;
     Ok((outcome, start.elapsed().as_secs_f64()))
 }

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use common::{filter, run, short};
 use intarsia::asset::{File, read_paths};
+use intarsia::context::Context;
 use intarsia::refine::options::{Gutter, IfLarger, Options, OverlapMode, Rotation, TextureFormat};
 use serde_json::Value;
 
@@ -131,7 +132,7 @@ fn tightest(files: Vec<File>) -> String {
     options.pack.gutter = Gutter::Texels(0);
     options.atlas.overlaps = OverlapMode::Separate;
     options.atlas.if_larger = IfLarger::Accept;
-    match run(files, &options) {
+    match run(files, &options, &Context::silent()) {
         Err(error) => error,
         Ok((outcome, seconds)) => {
             let report = &outcome.report;

@@ -52,7 +52,7 @@ fn pack(files: Vec<File>, if_larger: IfLarger) -> Result<Outcome, intarsia::erro
 }
 
 /// A file for other programs to read.
-fn written(name: &str, glb: &[u8]) -> PathBuf {
+pub(super) fn written(name: &str, glb: &[u8]) -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{}.glb", name.replace('/', "_")));
     std::fs::write(&path, glb).expect("a file");
     path
@@ -87,7 +87,7 @@ fn list(value: &Value) -> &[Value] {
 }
 
 /// Nothing is broken and nothing is lost. `path` is the model as it came, `original` the same as GLB.
-fn whole(name: &str, path: &Path, original: &[u8], outcome: &Outcome) {
+pub(super) fn whole(name: &str, path: &Path, original: &[u8], outcome: &Outcome) {
     let glb = &outcome.artifacts.iter().find(|a| a.role == "model").expect("a model").bytes;
     assert_eq!(geometry::corners(glb), geometry::corners(original), "{name}: the surface changed");
     let lost = lossless::differences(&lossless::Model::open(path), &lossless::Model::new(glb));

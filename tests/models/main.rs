@@ -4,6 +4,7 @@
 mod box_cutter;
 mod compressed;
 mod data;
+mod defrag;
 mod every;
 mod expected;
 mod geometry;
