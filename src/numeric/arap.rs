@@ -4,6 +4,7 @@ use glam::DVec2;
 
 use super::cholesky::{Cholesky, Symmetric};
 use super::energy::jacobian;
+use crate::atlas::find_root;
 
 /// Weight of the edges of triangles without a shape: they follow the others.
 const LOOSE: f64 = 1e-4;
@@ -108,7 +109,7 @@ impl<'a> Arap<'a> {
                     *position = side[*row];
                 }
             }
-            if !(moved > tolerance * tolerance) {
+            if moved <= tolerance * tolerance {
                 break;
             }
         }
@@ -131,19 +132,17 @@ fn held(patch: &Patch<'_>) -> Vec<bool> {
     let mut parent: Vec<u32> = (0..patch.free.len() as u32).collect();
     for t in patch.triangles {
         for v in [t[1], t[2]] {
-            let (a, b) = (crate::atlas::find_root(&mut parent, t[0]), crate::atlas::find_root(&mut parent, v));
+            let (a, b) = (find_root(&mut parent, t[0]), find_root(&mut parent, v));
             parent[a.max(b) as usize] = a.min(b);
         }
     }
     let mut held: Vec<bool> = patch.free.iter().map(|f| !f).collect();
     let mut has = vec![false; held.len()];
-    for v in 0..held.len() {
-        let root = crate::atlas::find_root(&mut parent, v as u32) as usize;
-        has[root] |= held[v];
+    for (v, held) in held.iter().enumerate() {
+        has[find_root(&mut parent, v as u32) as usize] |= held;
     }
-    for v in 0..held.len() {
-        let root = crate::atlas::find_root(&mut parent, v as u32) as usize;
-        held[v] |= !std::mem::replace(&mut has[root], true);
+    for (v, held) in held.iter_mut().enumerate() {
+        *held |= !std::mem::replace(&mut has[find_root(&mut parent, v as u32) as usize], true);
     }
     held
 }

@@ -236,10 +236,10 @@ mod tests {
     fn random(n: usize, edges: usize, rng: &mut Rng) -> (Symmetric, Vec<Vec<f64>>) {
         let mut matrix = Symmetric::new(n);
         let mut full = vec![vec![0.0; n]; n];
-        for i in 0..n {
+        for (i, row) in full.iter_mut().enumerate() {
             let value = 0.01 + rng.unit();
             matrix.add_diagonal(i, value);
-            full[i][i] += value;
+            row[i] += value;
         }
         for _ in 0..edges {
             let (i, j) = (rng.next() as usize % n, rng.next() as usize % n);

@@ -10,7 +10,7 @@ pub(crate) fn jacobian(from: &[DVec2; 3], to: &[DVec2; 3]) -> Option<DMat2> {
     let (a, b) = (from[1] - from[0], from[2] - from[0]);
     let longest = a.length_squared().max(b.length_squared()).max((b - a).length_squared());
     let twice = a.perp_dot(b);
-    if !(twice.abs() > FLAT * longest) {
+    if twice.abs() <= FLAT * longest || !twice.is_finite() {
         return None;
     }
     let inverse = DMat2::from_cols(DVec2::new(b.y, -a.y), DVec2::new(-b.x, a.x)) * (1.0 / twice);

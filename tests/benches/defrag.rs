@@ -47,8 +47,8 @@ fn variants() -> Vec<(&'static str, Defrag)> {
     let paper = || Defrag { search: Search::Paper, ..Defrag::default() };
     vec![
         ("baseline", paper()),
-        ("alpha = 2.5", Defrag { alpha: 2.5, ..paper() }),
-        ("alpha = 10", Defrag { alpha: 10.0, ..paper() }),
+        ("alpha = 2.5", Defrag { alpha: Some(2.5), ..paper() }),
+        ("alpha = 10", Defrag { alpha: Some(10.0), ..paper() }),
         ("NoRetry", Defrag { retry: false, ..paper() }),
         ("NoBC", Defrag { appeal: Appeal::NoBenefitCost, ..paper() }),
         ("NoSB", Defrag { appeal: Appeal::NoSizeBonus, ..paper() }),

@@ -153,7 +153,7 @@ pub(super) fn attempt(mesh: &Mesh, op: &Operation, params: &Defrag, scratch: &mu
         _ => &[(Target::Mean, false)],
     };
     for &(target, wide) in ways {
-        if wide && work as f64 > super::queue::knob("WORK", 1e4) {
+        if wide && work as f64 > 1e4 {
             break;
         }
         scratch.begin(mesh);
@@ -238,9 +238,12 @@ impl Trial<'_> {
         self.spread();
         self.gather()?;
         self.work += self.band.len() as u64;
+        // It depends on what lies about every vertex that it names, whether that moves or not.
+        for &f in self.nodes.iter().flat_map(|n| &n.vertices).flat_map(|&u| &self.mesh.star[u as usize]) {
+            self.region = self.region.union(Bounds::of(&self.aligned_triangle(f)));
+        }
         for &f in &self.band {
-            let t = self.aligned_triangle(f);
-            self.region = self.region.union(Bounds::of(&t)).union(Bounds::of(&self.placed_triangle(f)));
+            self.region = self.region.union(Bounds::of(&self.placed_triangle(f)));
         }
         if !self.within() && self.border_collides() {
             return Err(Reason::Collision);
@@ -269,12 +272,12 @@ impl Trial<'_> {
                 }
             }
             if !held || again == if self.band.len() > 2000 { 1 } else { AGAIN } {
-                if std::env::var("DBG").is_ok() {
-                    self.debug(displaced, again);
-                }
                 return Err(Reason::Overlap);
             }
             self.nodes.iter_mut().zip(&start).for_each(|(n, at)| n.at = *at);
+        }
+        if !self.within() && self.interior_collides() {
+            return Err(Reason::Overlap);
         }
         Ok(self.merge(zip))
     }
@@ -333,7 +336,7 @@ impl Trial<'_> {
             let node = &mut self.nodes[n];
             node.at = if spread <= STILL { at[0] } else { target };
             if spread > STILL {
-                node.budget = self.params.alpha * spread * if self.wide { 3.0 } else { 1.0 } + extra;
+                node.budget = self.params.alpha() * spread * if self.wide { 3.0 } else { 1.0 } + extra;
                 node.free = self.target == Target::Mean;
             }
             largest = largest.max(spread);
@@ -370,7 +373,7 @@ impl Trial<'_> {
                         }
                         let at = self.aligned(w);
                         let left = radius[source as usize] - at.distance(from);
-                        if !(left >= 0.0) {
+                        if left < 0.0 || left.is_nan() {
                             continue;
                         }
                         let known = self.scratch.node(w);
@@ -497,17 +500,6 @@ impl Trial<'_> {
                     t.iter().for_each(|v| near[*v as usize] = true);
                 }
             }
-            if std::env::var("DBGF").is_ok() && self.op.edges.len() > 30 {
-                eprintln!(
-                    "U {:?} {:?} wide {} edges {} cost {:.1} band {} harder {harder} folded {folded}",
-                    self.op.kind,
-                    self.target,
-                    self.wide,
-                    self.op.edges.len(),
-                    self.op.cost,
-                    self.band.len()
-                );
-            }
             if folded == 0 {
                 break;
             }
@@ -542,13 +534,17 @@ impl Trial<'_> {
     /// No face may turn over or shrink to nothing, except where it had in the input (section 4.2.3).
     fn folds(&self) -> Result<(), Reason> {
         for &f in &self.band {
-            if self.mesh.weight[f as usize] == 0.0 {
-                continue;
-            }
             let rest = &self.mesh.rest[f as usize];
             let now = self.placed_triangle(f);
+            if self.mesh.weight[f as usize] == 0.0 {
+                // What had no area may stay so, or get one; not turned over.
+                if super::mesh::sign(rest) == 0 && super::mesh::sign(&now) == -1 {
+                    return Err(Reason::Fold);
+                }
+                continue;
+            }
             let sign = super::mesh::sign(&now);
-            let wrong = sign != super::mesh::sign(rest) && sign != 1;
+            let wrong = sign != super::mesh::sign(rest) && (sign != 1 || self.mesh.odd[f as usize]);
             let lost = jacobian(rest, &now).is_none_or(|j| singular_values(&j)[1].abs() < LOST);
             if wrong || lost {
                 return Err(Reason::Fold);
@@ -565,7 +561,7 @@ impl Trial<'_> {
         }
         let small = self.params.search == Search::Partial
             && self.mesh.charts[self.op.moved as usize].area < self.params.island_area;
-        let limit = self.params.max_local_energy * if small { ISLAND } else { 1.0 };
+        let limit = self.params.local_energy() * if small { ISLAND } else { 1.0 };
         if energy <= limit * weight + 1e-12 { Ok(()) } else { Err(Reason::Local) }
     }
 
@@ -595,71 +591,6 @@ impl Trial<'_> {
             }
         }
         merge
-    }
-}
-
-impl Trial<'_> {
-    fn debug(&mut self, displaced: f64, again: usize) {
-        let mesh = self.mesh;
-        let placed: Vec<_> = self.band.iter().map(|&f| self.placed_triangle(f)).collect();
-        let mut depth = [0.0f64; 2];
-        let mut kinds = [0; 2];
-        for i in 0..placed.len() {
-            for j in 0..i {
-                if clash(mesh, self.band[i], &placed[i], self.band[j], &placed[j]) {
-                    depth[0] = depth[0].max(penetration(&placed[i], &placed[j]));
-                    kinds[0] += 1;
-                    let (p, q) = (self.band[i], self.band[j]);
-                    let name = |f: u32| {
-                        format!(
-                            "{f}:h{} s{}{} {}",
-                            mesh.home[f as usize],
-                            super::mesh::sign(&mesh.rest[f as usize]),
-                            super::mesh::sign(&placed[self.scratch.in_band(f).unwrap() as usize]),
-                            if mesh.chart_of[f as usize] == self.op.kept { "K" } else { "M" }
-                        )
-                    };
-                    if kinds[0] < 4 {
-                        eprintln!(
-                            "    before {:.3} now {:.3} {} {} shared {}",
-                            penetration(&mesh.rest[p as usize], &mesh.rest[q as usize]),
-                            penetration(&placed[i], &placed[j]),
-                            name(p),
-                            name(q),
-                            mesh.surface[p as usize].iter().filter(|v| mesh.surface[q as usize].contains(v)).count()
-                        );
-                    }
-                }
-            }
-        }
-        for (i, &f) in self.band.iter().enumerate() {
-            for c in [self.op.kept, self.op.moved] {
-                for &g in &mesh.charts[c as usize].faces {
-                    if self.scratch.in_band(g).is_none() {
-                        let t = self.aligned_triangle(g);
-                        if clash(mesh, f, &placed[i], g, &t) {
-                            depth[1] = depth[1].max(penetration(&placed[i], &t));
-                            kinds[1] += 1;
-                        }
-                    }
-                }
-            }
-        }
-        eprintln!(
-            "{} {:?} {:?} wide {} b {:.2} again {again} edges {} displaced {displaced:.3} cost {:.3} band {} pairs {:?} depth {:?} area {:.1} {:.1}",
-            if self.op.benefit(mesh) > 0.99 { "FULL" } else { "PART" },
-            self.op.kind,
-            self.target,
-            self.wide,
-            self.op.benefit(mesh),
-            self.op.edges.len(),
-            self.op.cost,
-            self.band.len(),
-            kinds,
-            depth,
-            mesh.charts[self.op.kept as usize].area,
-            mesh.charts[self.op.moved as usize].area
-        );
     }
 }
 

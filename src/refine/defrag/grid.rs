@@ -67,7 +67,8 @@ impl Grid {
             let half = DVec2::splat(0.5 * side);
             let (low, high) = (((bounds.min - half) / side).floor(), ((bounds.max + half) / side).floor());
             let spread = high - low + 1.0;
-            if !(spread.x * spread.y <= 4.0 * f64::from(count) + 64.0) {
+            let cells = spread.x * spread.y;
+            if cells > 4.0 * f64::from(count) + 64.0 || cells.is_nan() {
                 for &face in all {
                     if !visit(face) {
                         return;

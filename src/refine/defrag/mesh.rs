@@ -30,7 +30,7 @@ pub(super) struct Chart {
     pub main: u32,
     /// Whether its border falls into loops: not where more than two faces share an edge.
     pub sound: bool,
-    /// Whether it may be merged at all: not where its own faces are wound both ways.
+    /// Whether it may be merged at all.
     pub open: bool,
     /// What became of it, in order: where it changed, in its own coordinates.
     pub changes: Vec<Bounds>,
@@ -43,8 +43,6 @@ pub(super) struct Chart {
 pub(super) struct Mesh {
     /// UV vertices by face.
     pub corners: Vec<[u32; 3]>,
-    /// Surface vertices by face.
-    pub surface: Vec<[u32; 3]>,
     /// UV triangles of the input.
     pub rest: Vec<[DVec2; 3]>,
     /// Their area, zero where they have no shape.
@@ -76,6 +74,8 @@ pub(super) struct Mesh {
     pub mirrored: Vec<bool>,
     /// By chart of the input: one whose texels lie on the same grid as its own.
     pub grid_of: Vec<u32>,
+    /// By face: turned over against most of its chart, so that in the input's winding it looks right where it is folded.
+    pub odd: Vec<bool>,
     /// By face: deformed, and not only moved.
     pub deformed: Vec<bool>,
     /// By face: its energy times its weight.
@@ -110,11 +110,18 @@ impl Mesh {
             let vertex = |h: u32| own.surface.triangles[h as usize / 3][h as usize % 3];
             vertex(h) == vertex(after(t)) && vertex(after(h)) == vertex(t)
         };
+        let mostly: Vec<bool> = (charts.faces.iter())
+            .map(|faces| {
+                let area = |f: &FaceId| if turned[f.index()] { weight[f.index()] } else { -weight[f.index()] };
+                faces.iter().map(area).sum::<f64>() > 0.0
+            })
+            .collect();
         let mut link = vec![NONE; 3 * n];
         for h in 0..3 * n as u32 {
             let t = topology.surface_twin[h as usize];
             // Sides of a surface that is wound one way here and another there would look folded to each other.
-            let alike = || turned[h as usize / 3] == turned[t as usize / 3];
+            let most = |h: u32| mostly[charts.of_face[h as usize / 3].index()];
+            let alike = || turned[h as usize / 3] == most(h) && turned[t as usize / 3] == most(t) && most(h) == most(t);
             if topology.is_seam(h) && topology.is_seam(t) && opposite(h, t) && alike() {
                 link[h as usize] = t;
             }
@@ -152,9 +159,9 @@ impl Mesh {
                 prev[to as usize] = h;
             }
         }
+        let odd = (0..n).map(|f| turned[f] != mostly[charts.of_face[f].index()]).collect();
         let mut mesh = Mesh {
             corners: own.corners.iter().map(|c| c.map(|u| u.0)).collect(),
-            surface: own.surface.triangles.iter().map(|t| t.map(|v| v.0)).collect(),
             area: own.faces().map(|f| own.area(f)).collect(),
             rest,
             weight,
@@ -170,6 +177,7 @@ impl Mesh {
             motion: vec![Rigid::IDENTITY; charts.len()],
             mirrored,
             grid_of: (0..charts.len() as u32).collect(),
+            odd,
             deformed: vec![false; n],
             energy: vec![0.0; n],
             tolerance: 1e-12 * extent,
@@ -179,12 +187,11 @@ impl Mesh {
         for (c, faces) in charts.faces.iter().enumerate() {
             let faces: Vec<u32> = faces.iter().map(|f| f.0).collect();
             let finite = faces.iter().all(|&f| mesh.triangle(f).iter().all(|p| p.is_finite()));
-            let one_winding = faces.windows(2).all(|w| mesh.turned[w[0] as usize] == mesh.turned[w[1] as usize]);
             let mut chart = Chart {
                 parts: vec![c as u32],
                 main: c as u32,
                 sound: sound[c],
-                open: open[c] && finite && one_winding,
+                open: open[c] && finite,
                 grid: Grid::new(cell),
                 ..Chart::default()
             };
@@ -264,7 +271,7 @@ impl Mesh {
         let [a, b, c] =
             [0, 1, 2].map(|k| self.twin[3 * face as usize + k]).map(|t| if t == NONE { NONE } else { t / 3 });
         let back_to_back = a == b && a != NONE || b == c && b != NONE || a == c && a != NONE;
-        if sign(&rest) < 0 && !back_to_back { rest.map(mirror) } else { rest }
+        if sign(&rest) < 0 && !back_to_back && !self.odd[face as usize] { rest.map(mirror) } else { rest }
     }
 
     /// Pairs of linked half edges by pair of charts (the smaller first), each once.

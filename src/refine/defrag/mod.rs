@@ -24,13 +24,13 @@ use serde_json::{Map, Value, json};
 
 use self::attempt::{Attempt, Reason, Scratch, attempt};
 use self::mesh::Mesh;
-use self::params::Defrag;
+use self::params::{Defrag, Search};
 use self::queue::Queue;
 use super::options::{Options, OverlapMode, Rotation};
 use super::pack::{keeps_input, lay_out};
 use super::stage::{Frame, Staged};
 use crate::atlas::bvh::Bounds;
-use crate::atlas::{Atlas, Charts, Topology, clusters};
+use crate::atlas::{Atlas, Charts, NONE, Topology, clusters};
 use crate::context::Context;
 use crate::error::{Result, Warning};
 
@@ -102,6 +102,10 @@ fn merge_charts(
     let pool: Mutex<Vec<Scratch>> = Mutex::new(Vec::new());
     let weight: f64 = mesh.weight.iter().sum::<f64>().max(1e-300);
     let surface: f64 = mesh.area.iter().sum();
+    // Length of all seams, each once.
+    let border: f64 = 0.5
+        * (0..mesh.link.len() as u32).filter(|&h| mesh.link[h as usize] != NONE).map(|h| mesh.length(h)).sum::<f64>();
+    let border = border.max(1e-300);
     let mut energy = 0.0;
     let mut kept: f64 = mesh.charts.iter().map(|c| c.kept).sum();
     let (mut merges, mut tried, mut work) = (0u64, 0u64, 0u64);
@@ -125,13 +129,18 @@ fn merge_charts(
         let Some(Attempt { outcome, region, .. }) = known else { continue };
         let op = queue.entries[entry as usize].op.clone();
         let verdict = outcome.and_then(|merge| {
-            if energy + merge.energy > params.max_global_energy * weight && merge.energy > 0.0 {
+            if energy + merge.energy > params.global_energy() * weight && merge.energy > 0.0 {
                 return Err(Reason::Global);
             }
             let before = mesh.charts[op.kept as usize].kept
                 + if op.kept == op.moved { 0.0 } else { mesh.charts[op.moved as usize].kept };
             let after = kept - before + mesh.kept_after(&op, &merge);
             if params.max_resampled < 1.0 && after < (1.0 - params.max_resampled - 1e-9) * surface && after < kept {
+                return Err(Reason::Resampled);
+            }
+            let lost = (kept - after) / surface;
+            let gained = 0.5 * op.lengths.iter().sum::<f64>() / border;
+            if params.search == Search::Partial && lost > params.resampling_rate * gained + 0.001 {
                 return Err(Reason::Resampled);
             }
             if !border::stays_flat(&mesh, &merge.zip, op.kept == op.moved) {
@@ -151,52 +160,6 @@ fn merge_charts(
                 *failures.entry(reason).or_default() += 1;
                 queue.failed(&mesh, entry, reason);
             }
-        }
-    }
-    if std::env::var("DBG2").is_ok() {
-        let mut rows: Vec<(f64, String)> = Vec::new();
-        for ((a, b), edges) in mesh.links() {
-            let length: f64 = edges.iter().map(|&h| mesh.length(h)).sum();
-            let ops: Vec<String> = queue
-                .entries
-                .iter()
-                .filter(|e| {
-                    e.standing != queue::Standing::Gone
-                        && (e.op.kept.min(e.op.moved), e.op.kept.max(e.op.moved)) == (a, b)
-                })
-                .map(|e| {
-                    let reason =
-                        e.known.as_ref().map(|k| format!("{:?}", k.0.outcome.as_ref().err())).unwrap_or_default();
-                    format!(
-                        "{:?}:{}e {} b{:.2} f{} cost {:.1} {:?}",
-                        e.op.kind,
-                        e.op.edges.len(),
-                        reason,
-                        e.op.benefit(&mesh),
-                        e.op.fails,
-                        e.op.cost,
-                        e.standing
-                    )
-                })
-                .collect();
-            rows.push((
-                length,
-                format!(
-                    "{a}({}f {:.0}) {b}({}f {:.0}) edges {} length {length:.0} | {}",
-                    mesh.charts[a as usize].faces.len(),
-                    mesh.charts[a as usize].area,
-                    mesh.charts[b as usize].faces.len(),
-                    mesh.charts[b as usize].area,
-                    edges.len(),
-                    ops.join(" | ")
-                ),
-            ));
-        }
-        rows.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let all: f64 = rows.iter().map(|r| r.0).sum();
-        eprintln!("all {all:.0}");
-        for (_, r) in rows.iter().take(14) {
-            eprintln!("{}", r.chars().take(420).collect::<String>());
         }
     }
     let total: f64 = mesh.energy.iter().sum();
@@ -244,25 +207,6 @@ fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, p
         })
         .collect();
     let work = found.iter().map(|a| a.work).sum();
-    if std::env::var("DBG3").is_ok() {
-        for (&e, a) in batch.iter().zip(&found) {
-            let op = &queue.entries[e as usize].op;
-            let l = 0.5 * (op.lengths[0] + op.lengths[1]);
-            eprintln!(
-                "A {:?} {:.3} {} work {} f{} edges {} cost {:.1}",
-                op.kind,
-                op.cost / l,
-                match &a.outcome {
-                    Ok(_) => "ok",
-                    Err(r) => r.name(),
-                },
-                a.work,
-                op.fails,
-                op.edges.len(),
-                op.cost
-            );
-        }
-    }
     for (&e, attempt) in batch.iter().zip(found) {
         queue.remember(mesh, e, attempt);
     }
@@ -270,21 +214,4 @@ fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, p
         queue.push(e);
     }
     work
-}
-
-#[cfg(debug_assertions)]
-/// x
-pub fn dev(atlas: &Atlas, frame: &Frame, params: &Defrag, options: &Options) -> (Atlas, Map<String, Value>) {
-    dev_(atlas, frame, params, options)
-}
-/// x
-pub fn dev_(atlas: &Atlas, frame: &Frame, params: &Defrag, options: &Options) -> (Atlas, Map<String, Value>) {
-    let charts = Charts::new(&Topology::new(atlas));
-    let open = vec![true; charts.len()];
-    let now = std::time::Instant::now();
-    let (mesh, mut figures) = merge_charts(atlas, &charts, &open, frame, params, options, &Context::silent()).unwrap();
-    figures.insert("s".into(), json!(now.elapsed().as_secs_f64()));
-    let placed = place::place(mesh, atlas, params.min_preserved, frame, true);
-    figures.insert("preserved_area".to_owned(), json!(placed.preserved));
-    (placed.atlas, figures)
 }

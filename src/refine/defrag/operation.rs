@@ -101,7 +101,7 @@ impl Operation {
                 (motion, residual, whole_texels) = (snapped, worse, true);
             }
         }
-        if !(residual <= params.max_misalignment * 0.5 * (length + other)) {
+        if residual > params.max_misalignment * 0.5 * (length + other) || residual.is_nan() {
             return None;
         }
         let mut own = Operation {

@@ -7,15 +7,17 @@ use utoipa::ToSchema;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Defrag {
-    /// How far around a seam triangles may be deformed, in displacements of the seam's vertices, 0..=100 (alpha of section 4.2.2: 5).
+    /// How far around a seam triangles may be deformed, in displacements of the seam's vertices, 0..=100; null is 5 with `search: "paper"`
+    /// (alpha of section 4.2.2), else 3: with partial merges that leaves fewer seams and more texels whole.
     #[schema(minimum = 0, maximum = 100)]
-    pub alpha: f64,
-    /// Largest mean of (s1 - 1)^2 + (s2 - 1)^2 over the triangles that one merge deforms, 0..=10 (section 5: 0.5).
+    pub alpha: Option<f64>,
+    /// Largest mean of (s1 - 1)^2 + (s2 - 1)^2 over the triangles that one merge deforms, 0..=10; null is 0.5 with `search: "paper"`
+    /// (section 5), else 1.
     #[schema(minimum = 0, maximum = 10)]
-    pub max_local_energy: f64,
-    /// The same over the whole atlas, 0..=10 (section 5: 0.025).
+    pub max_local_energy: Option<f64>,
+    /// The same over the whole atlas, 0..=10; null is 0.025 with `search: "paper"` (section 5), else 0.05.
     #[schema(minimum = 0, maximum = 10)]
-    pub max_global_energy: f64,
+    pub max_global_energy: Option<f64>,
     /// Largest mean distance of the two sides of a seam after alignment, in lengths of the seam, 0..=100 (section 5: 2).
     #[schema(minimum = 0, maximum = 100)]
     pub max_misalignment: f64,
@@ -26,6 +28,10 @@ pub struct Defrag {
     /// fewest seams.
     #[schema(minimum = 0, maximum = 1)]
     pub max_resampled: f64,
+    /// The most of the surface that a merge may cause to be resampled, per part of all seams that it removes, 0..=1000000: merges that
+    /// turn much to remove little are not made. Not with `search: "paper"`.
+    #[schema(minimum = 0, maximum = 1000000)]
+    pub resampling_rate: f64,
     /// How merges are chosen.
     pub search: Search,
     /// What ranks the operations (section 4.3; the others are those of Table 1).
@@ -43,18 +49,40 @@ pub struct Defrag {
 impl Default for Defrag {
     fn default() -> Self {
         Defrag {
-            alpha: 5.0,
-            max_local_energy: 0.5,
-            max_global_energy: 0.025,
+            alpha: None,
+            max_local_energy: None,
+            max_global_energy: None,
             max_misalignment: 2.0,
             min_benefit: 0.2,
             max_resampled: 1.0,
+            resampling_rate: 9.0,
             search: Search::Partial,
             appeal: Appeal::Full,
             retry: true,
             island_area: 256.0,
             min_preserved: 0.05,
         }
+    }
+}
+
+impl Defrag {
+    /// See `alpha`.
+    pub(super) fn alpha(&self) -> f64 {
+        self.alpha.unwrap_or(self.published(5.0, 3.0))
+    }
+
+    /// See `max_local_energy`.
+    pub(super) fn local_energy(&self) -> f64 {
+        self.max_local_energy.unwrap_or(self.published(0.5, 1.0))
+    }
+
+    /// See `max_global_energy`.
+    pub(super) fn global_energy(&self) -> f64 {
+        self.max_global_energy.unwrap_or(self.published(0.025, 0.05))
+    }
+
+    fn published(&self, paper: f64, own: f64) -> f64 {
+        if self.search == Search::Paper { paper } else { own }
     }
 }
 

@@ -11,7 +11,7 @@ use crate::atlas::bvh::Bounds;
 use crate::packing::Random;
 
 /// Mean misalignment of a seam, in its lengths, beyond which merges all but never succeed.
-const CROOKED: f64 = 0.4;
+const CROOKED: f64 = 0.6;
 
 /// The least benefit of a part of a seam, relative to that of a whole one.
 const PART: f64 = 0.5;
@@ -167,8 +167,8 @@ impl<'a> Queue<'a> {
         let Some(op) = Operation::new(mesh, kind, edges, fails, self.params, self.unit, chance) else { return };
         if self.params.search == Search::Partial
             && kind == Kind::Stretch
-            && op.cost > knob("CROOKED", CROOKED) * 0.5 * (op.lengths[0] + op.lengths[1])
-            && op.cost > knob("FLOOR", 4.0)
+            && op.cost > CROOKED * 0.5 * (op.lengths[0] + op.lengths[1])
+            && op.cost > 4.0
         {
             // Hopeless as it is: its parts may do.
             self.take_apart(mesh, link, kind, &op.edges);
@@ -187,15 +187,12 @@ impl<'a> Queue<'a> {
     fn may_retry(&self, entry: u32) -> bool {
         let own = &self.entries[entry as usize];
         self.params.search == Search::Paper
-            || own.known.as_ref().is_none_or(|(attempt, _)| {
-                u64::from(own.op.fails) * attempt.work <= super::queue::knob("RETRY", RETRY) as u64
-            })
+            || own.known.as_ref().is_none_or(|(attempt, _)| u64::from(own.op.fails) * attempt.work <= RETRY as u64)
     }
 
     fn is_small(&self, mesh: &Mesh, op: &Operation) -> bool {
         op.kept != op.moved
-            && op.benefit(mesh)
-                < self.params.min_benefit * if op.kind == Kind::Whole { 1.0 } else { knob("PART", PART) }
+            && op.benefit(mesh) < self.params.min_benefit * if op.kind == Kind::Whole { 1.0 } else { PART }
     }
 
     /// Makes the operations of a link anew.
@@ -403,9 +400,4 @@ impl Ord for Turn {
     fn cmp(&self, other: &Self) -> Ordering {
         other.rank.total_cmp(&self.rank).then(other.entry.cmp(&self.entry)).then(other.stamp.cmp(&self.stamp))
     }
-}
-
-/// x
-pub(super) fn knob(name: &str, value: f64) -> f64 {
-    std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(value)
 }

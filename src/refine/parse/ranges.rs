@@ -113,12 +113,13 @@ fn cutter_ranges(at: &str, p: &BoxCutter, within: &mut impl FnMut(&str, f64, f64
 
 fn defrag_ranges(at: &str, p: &Defrag, within: &mut impl FnMut(&str, f64, f64, f64)) {
     let mut check = |key: &str, value: f64, high: f64| within(&child(at, key), value, 0.0, high);
-    check("alpha", p.alpha, 100.0);
-    check("max_local_energy", p.max_local_energy, 10.0);
-    check("max_global_energy", p.max_global_energy, 10.0);
+    check("alpha", p.alpha.unwrap_or(0.0), 100.0);
+    check("max_local_energy", p.max_local_energy.unwrap_or(0.0), 10.0);
+    check("max_global_energy", p.max_global_energy.unwrap_or(0.0), 10.0);
     check("max_misalignment", p.max_misalignment, 100.0);
     check("min_benefit", p.min_benefit, 1.0);
     check("max_resampled", p.max_resampled, 1.0);
+    check("resampling_rate", p.resampling_rate, 1e6);
     check("island_area", p.island_area, 1e6);
     check("min_preserved", p.min_preserved, 1.0);
 }

@@ -8,9 +8,17 @@ use crate::atlas::rigid::Rigid;
 const MOST: usize = 64;
 
 impl Trial<'_> {
-    /// Whether the chart that comes lies on the other, apart from the faces that will be deformed. Its border suffices: a chart
-    /// cannot lie inside a larger one, to which it is joined, without their borders crossing.
+    /// Whether the border of the chart that comes lies on the other chart, apart from the faces that will be deformed.
     pub(super) fn border_collides(&mut self) -> bool {
+        self.collides(true)
+    }
+
+    /// Whether its interior does: that borders cross where charts overlap holds only where neither is folded.
+    pub(super) fn interior_collides(&mut self) -> bool {
+        self.collides(false)
+    }
+
+    fn collides(&mut self, border: bool) -> bool {
         let mesh = self.mesh;
         let [kept, moved] = [self.op.kept, self.op.moved].map(|c| &mesh.charts[c as usize]);
         let mut hit = false;
@@ -18,7 +26,7 @@ impl Trial<'_> {
             let at = self.aligned_triangle(f);
             let bounds = Bounds::of(&at);
             self.region = self.region.union(bounds);
-            if hit || self.scratch.in_band(f).is_some() || !mesh.on_border(f) {
+            if hit || self.scratch.in_band(f).is_some() || mesh.on_border(f) != border {
                 continue;
             }
             self.work += 1;
