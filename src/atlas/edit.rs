@@ -1,10 +1,10 @@
-//! Edits that keep provenance: moving charts, and giving each its own UV vertices.
+//! Edits that keep provenance: moving charts, setting them apart, and giving each its own UV vertices.
 
 use std::collections::BTreeMap;
 
 use glam::{DMat2, DVec2};
 
-use super::{Atlas, Charts, UvId};
+use super::{Atlas, Charts, Topology, UvId};
 
 /// Where a chart goes: `uv' = linear * uv + translate` on sheet `page`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,5 +59,33 @@ impl Atlas {
                 }
             }
         }
+    }
+
+    /// Moves the charts that hold a face of `moved` to places of their own beside the layout, by whole multiples of `step` texels: where they
+    /// were, they would seem to share texels with others.
+    pub(crate) fn set_apart(&self, moved: &[bool], step: f64) -> Atlas {
+        let charts = Charts::new(&Topology::new(self));
+        let points = || self.corners.iter().flatten().map(|u| self.uv[u.index()]).filter(|p| p.is_finite());
+        let high = points().fold(DVec2::ZERO, DVec2::max);
+        let mut x = (high.x / step).ceil() * step + step;
+        let moves: Vec<_> = charts
+            .faces
+            .iter()
+            .map(|faces| {
+                let mut by = DVec2::ZERO;
+                if faces.iter().any(|f| moved[f.index()]) {
+                    let own = || faces.iter().flat_map(|f| self.uv_triangle(*f)).filter(|p| p.is_finite());
+                    let low = own().fold(DVec2::INFINITY, DVec2::min);
+                    let high = own().fold(DVec2::NEG_INFINITY, DVec2::max);
+                    if low.is_finite() {
+                        by = DVec2::new(x - (low.x / step).floor() * step, -(low.y / step).floor() * step);
+                        x += ((high.x - low.x) / step).ceil() * step + 2.0 * step;
+                    }
+                }
+                let page = faces.first().map_or(0, |f| self.page[f.index()]);
+                Move { page, linear: DMat2::IDENTITY, translate: by }
+            })
+            .collect();
+        self.moved(&charts, &moves, self.sheets.clone())
     }
 }

@@ -183,7 +183,7 @@ mod tests {
             let patch = Patch { triangles: &triangles, rest: &rest, stiffness: &stiffness, free: &free };
             Arap::new(&patch).expect("positive definite").relax(&mut at, 400, 1e-12);
             let end = energy(&triangles, &rest, &at);
-            assert!(end < 1e-9 && start > 0.1, "{fixed}: {start} -> {end}");
+            assert!(end < 1e-5 && start > 0.1, "{fixed}: {start} -> {end}");
         }
     }
 

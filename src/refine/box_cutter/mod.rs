@@ -210,7 +210,7 @@ fn without_overlaps(
         .collect();
     let moved: Vec<bool> = charts.of_face.iter().map(|c| cut.contains(c)).collect();
     let step = f64::from(frame.unit) * 64.0;
-    Ok(start::set_apart(&next, &moved, step))
+    Ok(next.set_apart(&moved, step))
 }
 
 /// Makes the cuts of the best few states, packs each, and gives the best packing.

@@ -157,31 +157,3 @@ pub(crate) fn layout(
     let layout = &state.arrangement.layout;
     Some(Layout { places, sides: [layout.width, layout.height].map(|s| s as f64 * raster.cell) })
 }
-
-/// Moves the charts that hold a face of `moved` to places of their own beside the layout, by whole multiples of `step` texels: where they
-/// were, they would seem to share texels with others.
-pub(crate) fn set_apart(atlas: &Atlas, moved: &[bool], step: f64) -> Atlas {
-    let charts = Charts::new(&Topology::new(atlas));
-    let points = || atlas.corners.iter().flatten().map(|u| atlas.uv[u.index()]).filter(|p| p.is_finite());
-    let high = points().fold(DVec2::ZERO, DVec2::max);
-    let mut x = (high.x / step).ceil() * step + step;
-    let moves: Vec<_> = charts
-        .faces
-        .iter()
-        .map(|faces| {
-            let mut by = DVec2::ZERO;
-            if faces.iter().any(|f| moved[f.index()]) {
-                let own = || faces.iter().flat_map(|f| atlas.uv_triangle(*f)).filter(|p| p.is_finite());
-                let low = own().fold(DVec2::INFINITY, DVec2::min);
-                let high = own().fold(DVec2::NEG_INFINITY, DVec2::max);
-                if low.is_finite() {
-                    by = DVec2::new(x - (low.x / step).floor() * step, -(low.y / step).floor() * step);
-                    x += ((high.x - low.x) / step).ceil() * step + 2.0 * step;
-                }
-            }
-            let page = faces.first().map_or(0, |f| atlas.page[f.index()]);
-            crate::atlas::Move { page, linear: glam::DMat2::IDENTITY, translate: by }
-        })
-        .collect();
-    atlas.moved(&charts, &moves, atlas.sheets.clone())
-}

@@ -64,7 +64,10 @@ pub(crate) fn defrag(
     let placed = place::place(mesh, atlas, params.min_preserved, frame, options.pack.rotation != Rotation::Any);
     figures.insert("preserved_area".to_owned(), json!(placed.preserved));
     context.step(0.75, "packing")?;
-    let (laid, work) = lay_out(&placed.atlas, frame, options, &[], &placed.free, 1.0, context)?;
+    // Where charts came to lie others may lie already: they share no texels for that.
+    let moved: Vec<bool> = atlas.faces().map(|f| atlas.uv_triangle(f) != placed.atlas.uv_triangle(f)).collect();
+    let apart = placed.atlas.set_apart(&moved, f64::from(frame.unit) * 64.0);
+    let (laid, work) = lay_out(&apart, frame, options, &[], &placed.free, 1.0, context)?;
     figures.insert("pack_work".to_owned(), json!(work));
     let staged = Staged { atlas: laid, stopped_by: "done", figures, kept: false };
     if keeps_input(atlas, &staged.atlas, frame, options) {
