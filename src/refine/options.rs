@@ -74,7 +74,8 @@ impl Options {
             options.atlas =
                 AtlasOptions { overlaps: OverlapMode::Separate, if_larger: IfLarger::Accept, ..options.atlas };
             // Texels that were kept so far are kept.
-            options.box_cutter = BoxCutter { max_boundary_length: Some(1.3), weld: false, ..options.box_cutter };
+            options.box_cutter =
+                BoxCutter { max_boundary_length: Some(1.3), remove_overlaps: false, weld: false, ..options.box_cutter };
         }
         if name == "fabrication" {
             // Panels are cut from sheets of material: any turn, never mirrored, every panel once.
@@ -84,6 +85,11 @@ impl Options {
             options.fabrication = Some(FabricationParams::default());
         }
         options
+    }
+
+    /// Whether what the stage did is only taken where it makes the textures smaller.
+    pub(super) fn only_if_smaller(&self, stage: &Stage) -> bool {
+        matches!((&self.recipe, stage), (Recipe::Preset(name), Stage::BoxCutter(_)) if name == "scan_tight")
     }
 
     /// The stages of the recipe, presets written out.

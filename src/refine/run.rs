@@ -12,6 +12,7 @@ use super::stage::{Frame, Staged};
 use super::textures::bake_slots;
 use super::{check, fabrication, pack};
 use crate::asset::{File, Limits};
+use crate::atlas::Atlas;
 use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
 use crate::metrics::{Unmet, unmet};
@@ -152,6 +153,11 @@ fn run_stage(stage: &Stage, refinement: &mut Refinement<'_>, options: &Options, 
         let message = format!("{} was undone for atlas {}: {violation}", stage.name(), frame.id);
         context.warn(Warning::new("stage_reverted", message));
         refinement.ran(stage, "reverted", figures);
+        return Ok(());
+    }
+    let pixels = |a: &Atlas| a.sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
+    if options.only_if_smaller(stage) && pixels(&atlas) >= pixels(&refinement.atlas) {
+        refinement.ran(stage, "no_improvement", figures);
         return Ok(());
     }
     refinement.ran(stage, stopped_by, figures);
