@@ -123,8 +123,9 @@ fn missed(goal: &Goal, report: &Value) -> Vec<String> {
         compare("solidity", |before, after| after > before);
         compare("vertex_replication", |before, after| after <= before);
         compare("flipped_triangles", |before, after| after <= before);
-        compare("overlap_fraction", |before, after| after <= before + 1e-6);
-        compare("texel_density.median", |before, after| (after / before - 1.0).abs() <= 0.01);
+        // A fraction of the area covered, which itself may become a little smaller.
+        compare("overlap_fraction", |before, after| after <= before * 1.01 + 1e-6);
+        compare("texel_density.median", |before, after| (after / before - 1.0).abs() <= 0.02);
         compare("resampled_area", |_, after| after <= MOST_RESAMPLED);
         // One chart alone has no neighbour.
         compare("gutter_texels", |_, after| after.is_nan() || after >= 4.0);
