@@ -15,7 +15,6 @@ pub(super) fn stays_flat(mesh: &Mesh, zip: &[(u32, u32)], within: bool) -> bool 
         // Without loops there is no telling: what does not overlap itself is flat enough.
         return true;
     }
-    // A single run between two charts joins two loops once, and leaves a border unless it is all of both.
     let mut next: HashMap<u32, u32> = HashMap::new();
     let mut prev: HashMap<u32, u32> = HashMap::new();
     let mut loops = 0usize;
