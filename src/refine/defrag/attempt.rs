@@ -20,6 +20,8 @@ pub(super) const STILL: f64 = 4e-4;
 const CHEAP: u64 = 10_000;
 /// Times that vertices are held where the border crossed, and the rest is tried again.
 const AGAIN: usize = 3;
+/// Faces of a band that is tried again only once.
+const MANY: usize = 2_000;
 /// Faces that one merge may deform.
 const WIDEST: usize = 6_000;
 
@@ -257,7 +259,7 @@ impl Trial<'_> {
                     }
                 }
             }
-            if !held || again == if self.band.len() > 2000 { 1 } else { AGAIN } {
+            if !held || again == if self.band.len() > MANY { 1 } else { AGAIN } {
                 return Err(Reason::Overlap);
             }
             self.nodes.iter_mut().zip(&start).for_each(|(n, at)| n.at = *at);

@@ -13,6 +13,9 @@ use crate::packing::Random;
 /// Mean misalignment of a seam, in its lengths, beyond which merges all but never succeed.
 const CROOKED: f64 = 0.6;
 
+/// Texels of misalignment that are not too many whatever the length.
+const NEAR: f64 = 4.0;
+
 /// The least benefit of a part of a seam, relative to that of a whole one.
 const PART: f64 = 0.5;
 
@@ -168,7 +171,7 @@ impl<'a> Queue<'a> {
         if self.params.search == Search::Partial
             && kind == Kind::Stretch
             && op.cost > CROOKED * 0.5 * (op.lengths[0] + op.lengths[1])
-            && op.cost > 4.0
+            && op.cost > NEAR
         {
             // Hopeless as it is: its parts may do.
             self.take_apart(mesh, link, kind, &op.edges);
