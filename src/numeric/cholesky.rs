@@ -1,11 +1,9 @@
 //! Sparse Cholesky factorisation for small and middling systems: one factor, many right-hand sides.
 //!
-//! L D L^T with a reverse Cuthill-McKee order, row by row along the elimination tree (George and Liu 1981; Davis 2006, chapter
-//! 4). Regions about a seam are long and thin, and there this order leaves little fill.
+//! L D L^T row by row within the envelope of a reverse Cuthill-McKee order (George and Liu 1981, chapter 4). Regions about a seam
+//! are long and thin: there this order leaves a narrow envelope, and within it all sums run over neighbours in memory.
 
 use glam::DVec2;
-
-const NONE: u32 = u32::MAX;
 
 /// A symmetric matrix as sums of entries.
 #[derive(Debug, Clone, Default)]
@@ -37,9 +35,10 @@ impl Symmetric {
 pub(crate) struct Cholesky {
     /// Old index by new.
     order: Vec<u32>,
-    /// Start of each column of L in `rows` and `values`; L has a unit diagonal.
+    /// First column of each row of L that is kept; from there to the diagonal all are.
+    first: Vec<u32>,
+    /// Start of each row in `values`; L has a unit diagonal, which is not kept.
     start: Vec<usize>,
-    rows: Vec<u32>,
     values: Vec<f64>,
     pivots: Vec<f64>,
 }
@@ -48,110 +47,93 @@ impl Cholesky {
     /// Factors the matrix; `None` where a pivot is not positive.
     pub(crate) fn new(matrix: &Symmetric) -> Option<Self> {
         let n = matrix.diagonal.len();
-        let mut entries = matrix.entries.clone();
-        entries.sort_unstable_by_key(|e| (e.0, e.1));
-        let graph = Graph::new(n, &entries);
-        let order = reverse_cuthill_mckee(&graph);
+        let order = reverse_cuthill_mckee(&Graph::new(n, &matrix.entries));
         let mut place = vec![0u32; n];
         order.iter().enumerate().for_each(|(new, &old)| place[old as usize] = new as u32);
-        // Rows of the strict lower triangle in the new order.
-        let mut lower: Vec<(u32, u32, f64)> = entries
-            .iter()
-            .map(|&(i, j, v)| {
-                let (p, q) = (place[i as usize], place[j as usize]);
-                (p.max(q), p.min(q), v)
-            })
-            .collect();
-        lower.sort_by_key(|e| (e.0, e.1));
-        let first: Vec<usize> = (0..=n).map(|row| lower.partition_point(|e| (e.0 as usize) < row)).collect();
-        let row = |k: usize| &lower[first[k]..first[k + 1]];
-
-        // Elimination tree and the length of each column.
-        let mut parent = vec![NONE; n];
-        let mut mark = vec![NONE; n];
-        let mut count = vec![0usize; n];
-        for k in 0..n {
-            mark[k] = k as u32;
-            for &(_, j, _) in row(k) {
-                let mut i = j as usize;
-                while mark[i] != k as u32 {
-                    if parent[i] == NONE {
-                        parent[i] = k as u32;
-                    }
-                    count[i] += 1;
-                    mark[i] = k as u32;
-                    i = parent[i] as usize;
-                }
-            }
+        let lower = |&(i, j, v): &(u32, u32, f64)| {
+            let (p, q) = (place[i as usize], place[j as usize]);
+            (p.max(q) as usize, p.min(q), v)
+        };
+        let mut first: Vec<u32> = (0..n as u32).collect();
+        for (row, column, _) in matrix.entries.iter().map(lower) {
+            first[row] = first[row].min(column);
         }
         let mut start = vec![0; n + 1];
-        (0..n).for_each(|i| start[i + 1] = start[i] + count[i]);
-        let mut own =
-            Cholesky { rows: vec![0; start[n]], values: vec![0.0; start[n]], pivots: vec![0.0; n], order, start };
-        let mut filled: Vec<usize> = own.start[..n].to_vec();
-        let mut work = vec![0.0; n];
-        let mut pattern = vec![0u32; n];
-        let mut path = Vec::new();
-        mark.fill(NONE);
+        (0..n).for_each(|k| start[k + 1] = start[k] + k - first[k] as usize);
+        let mut values = vec![0.0; start[n]];
+        for (row, column, v) in matrix.entries.iter().map(lower) {
+            values[start[row] + (column - first[row]) as usize] += v;
+        }
+        let mut pivots: Vec<f64> = order.iter().map(|&old| matrix.diagonal[old as usize]).collect();
         for k in 0..n {
-            // The pattern of row k in topological order: it ends up in pattern[top..].
-            let mut top = n;
-            mark[k] = k as u32;
-            for &(_, j, v) in row(k) {
-                work[j as usize] += v;
-                let mut i = j as usize;
-                while mark[i] != k as u32 {
-                    path.push(i as u32);
-                    mark[i] = k as u32;
-                    i = parent[i] as usize;
-                }
-                while let Some(i) = path.pop() {
-                    top -= 1;
-                    pattern[top] = i;
-                }
+            let (done, row) = values.split_at_mut(start[k]);
+            let (from, row) = (first[k] as usize, &mut row[..start[k + 1] - start[k]]);
+            // First the row of L D, then of L.
+            for j in from..k {
+                let own = first[j] as usize;
+                let common = own.max(from);
+                let above = &done[start[j] + common - own..start[j + 1]];
+                row[j - from] -= dot(&row[common - from..j - from], above);
             }
-            let mut pivot = matrix.diagonal[own.order[k] as usize];
-            for &i in &pattern[top..] {
-                let i = i as usize;
-                let value = std::mem::take(&mut work[i]);
-                for p in own.start[i]..filled[i] {
-                    work[own.rows[p] as usize] -= own.values[p] * value;
-                }
-                let entry = value / own.pivots[i];
-                pivot -= entry * value;
-                own.rows[filled[i]] = k as u32;
-                own.values[filled[i]] = entry;
-                filled[i] += 1;
+            let mut pivot = pivots[k];
+            for (value, by) in row.iter_mut().zip(&pivots[from..k]) {
+                let entry = *value / by;
+                pivot -= entry * *value;
+                *value = entry;
             }
             if !(pivot > 0.0 && pivot.is_finite()) {
                 return None;
             }
-            own.pivots[k] = pivot;
+            pivots[k] = pivot;
         }
-        Some(own)
+        Some(Cholesky { order, first, start, values, pivots })
+    }
+
+    fn row(&self, k: usize) -> (std::ops::Range<usize>, &[f64]) {
+        (self.first[k] as usize..k, &self.values[self.start[k]..self.start[k + 1]])
     }
 
     /// Solves for two right-hand sides at once, in place.
     pub(crate) fn solve(&self, b: &mut [DVec2]) {
-        let n = self.order.len();
         let mut x: Vec<DVec2> = self.order.iter().map(|&old| b[old as usize]).collect();
-        for i in 0..n {
-            let value = x[i];
-            for p in self.start[i]..self.start[i + 1] {
-                x[self.rows[p] as usize] -= self.values[p] * value;
+        for k in 0..x.len() {
+            let (columns, row) = self.row(k);
+            // Two sums: one addition does not wait for the other.
+            let mut sums = [DVec2::ZERO; 2];
+            let (x_pairs, x_rest) = x[columns].as_chunks::<2>();
+            let (pairs, rest) = row.as_chunks::<2>();
+            for (x, l) in x_pairs.iter().zip(pairs) {
+                sums[0] += l[0] * x[0];
+                sums[1] += l[1] * x[1];
             }
+            for (x, l) in x_rest.iter().zip(rest) {
+                sums[0] += *l * *x;
+            }
+            x[k] -= sums[0] + sums[1];
         }
-        for i in (0..n).rev() {
-            let mut value = x[i] / self.pivots[i];
-            for p in self.start[i]..self.start[i + 1] {
-                value -= self.values[p] * x[self.rows[p] as usize];
-            }
-            x[i] = value;
+        x.iter_mut().zip(&self.pivots).for_each(|(x, pivot)| *x /= *pivot);
+        for k in (0..x.len()).rev() {
+            let (columns, row) = self.row(k);
+            let value = x[k];
+            x[columns].iter_mut().zip(row).for_each(|(x, l)| *x -= *l * value);
         }
         for (&old, value) in self.order.iter().zip(x) {
             b[old as usize] = value;
         }
     }
+}
+
+/// The sum of products, in four interleaved parts.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
+    let mut sums = [0.0; 4];
+    for (a, b) in a.iter().zip(b) {
+        for k in 0..4 {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
 
 /// Neighbours of each row.

@@ -3,7 +3,9 @@
 use glam::DVec2;
 
 /// Sweeps over the vertices of triangles that are turned over.
-const SWEEPS: usize = 60;
+const SWEEPS: usize = 16;
+/// Sweeps after which there should be fewer of them than ever: what succeeds does so soon.
+const PATIENCE: usize = 6;
 /// Projections of one vertex in a sweep.
 const PROJECTIONS: usize = 24;
 /// Beyond the boundary of the half plane, relative to the distance: relaxation reaches a region with an interior.
@@ -23,31 +25,28 @@ pub(crate) fn untangle(
         let [a, b, c] = t.map(|v| positions[v as usize]);
         if area > 0.0 { least * area - 0.5 * (b - a).perp_dot(c - a) } else { f64::NEG_INFINITY }
     };
-    // Triangles about the vertices that are near the trouble; grown as it spreads.
-    let mut around: Vec<Option<Vec<u32>>> = vec![None; free.len()];
-    for _ in 0..SWEEPS {
-        let wrong: Vec<usize> =
-            (0..triangles.len()).filter(|&i| deficit(&triangles[i], areas[i], positions) > 0.0).collect();
+    let about = about(triangles, free.len());
+    let about = |v: u32| &about.1[about.0[v as usize]..about.0[v as usize + 1]];
+    let mut wrong: Vec<u32> = (0..triangles.len() as u32).collect();
+    // The fewest so far, and when that was.
+    let mut fewest = (usize::MAX, 0);
+    for sweep in 0..SWEEPS {
+        wrong.retain(|&i| deficit(&triangles[i as usize], areas[i as usize], positions) > 0.0);
         if wrong.is_empty() {
             return true;
         }
-        let mut vertices: Vec<u32> = wrong.iter().flat_map(|&i| triangles[i]).filter(|v| free[*v as usize]).collect();
+        if wrong.len() < fewest.0 {
+            fewest = (wrong.len(), sweep);
+        } else if sweep > fewest.1 + PATIENCE {
+            return false;
+        }
+        let mut vertices: Vec<u32> =
+            wrong.iter().flat_map(|&i| triangles[i as usize]).filter(|v| free[*v as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
-        if vertices.iter().any(|v| around[*v as usize].is_none()) {
-            let mut new = vec![false; free.len()];
-            for &v in vertices.iter().filter(|v| around[**v as usize].is_none()) {
-                new[v as usize] = true;
-            }
-            for (i, t) in triangles.iter().enumerate() {
-                for v in t.iter().filter(|v| new[**v as usize]) {
-                    around[*v as usize].get_or_insert_default().push(i as u32);
-                }
-            }
-        }
         let mut moved = false;
         for &v in &vertices {
-            let Some(own) = &around[v as usize] else { continue };
+            let own = about(v);
             let start = positions[v as usize];
             let worst = |positions: &[DVec2]| {
                 own.iter()
@@ -73,6 +72,7 @@ pub(crate) fn untangle(
             let after = worst(positions).0;
             if after < before && positions[v as usize].is_finite() {
                 moved = true;
+                wrong.extend(own);
             } else {
                 positions[v as usize] = start;
             }
@@ -80,8 +80,30 @@ pub(crate) fn untangle(
         if !moved {
             return false;
         }
+        wrong.sort_unstable();
+        wrong.dedup();
     }
-    triangles.iter().zip(areas).all(|(t, a)| deficit(t, *a, positions) <= 0.0)
+    wrong.iter().all(|&i| deficit(&triangles[i as usize], areas[i as usize], positions) <= 0.0)
+}
+
+/// The triangles about each vertex: where they start in the list, and the list.
+fn about(triangles: &[[u32; 3]], vertices: usize) -> (Vec<usize>, Vec<u32>) {
+    let mut starts = vec![0; vertices + 1];
+    for v in triangles.iter().flatten() {
+        starts[*v as usize + 1] += 1;
+    }
+    for v in 0..vertices {
+        starts[v + 1] += starts[v];
+    }
+    let mut next = starts.clone();
+    let mut list = vec![0; starts[vertices]];
+    for (i, t) in triangles.iter().enumerate() {
+        for v in t {
+            list[next[*v as usize]] = i as u32;
+            next[*v as usize] += 1;
+        }
+    }
+    (starts, list)
 }
 
 #[cfg(test)]

@@ -37,8 +37,9 @@ const THOUSANDS: usize = 5000;
 const THOUSANDS_BATCH: usize = 4;
 /// Plans evaluated at once: fixed, so that the result does not depend on the number of threads.
 const BATCH: usize = 16;
-/// Coarse plans that are built at the fine resolution.
+/// Coarse plans that are built at the fine resolution, by number of pieces.
 const FINALISTS: usize = 4;
+const FINALISTS_OF_MANY: [(usize, usize); 3] = [(1000, FINALISTS), (THOUSANDS, 2), (usize::MAX, 1)];
 /// Up to so many pieces keep to the orientations of the coarse plans at the fine resolution; of more, small ones fill holes better
 /// with all of theirs.
 const NARROWED: usize = 60;
@@ -51,8 +52,9 @@ const RULES: [Rule; 3] = [
 /// The widest strip considered, relative to its height, where the aspect is free.
 const WIDEST: f64 = 4.0;
 
-fn by_count(table: &[(usize, f64)], n: usize) -> f64 {
-    table.iter().find(|(limit, _)| n <= *limit).map_or(512.0, |(_, value)| *value)
+/// The entry for so many; the last one's limit is that of its type.
+fn by_count<T: Copy>(table: &[(usize, T)], n: usize) -> T {
+    table[table.partition_point(|(limit, _)| *limit < n)].1
 }
 
 /// Angles for a piece by its share of the area and its place in the order of areas: large pieces decide the sheet's size.
@@ -154,7 +156,7 @@ impl Search<'_> {
         let coarse = self.shapes(self.ways, self.cell(side / by_count(&COARSE_SIDE, n)), self.span);
         self.context.step(0.1, "searching")?;
         let Found { best: mut tried, mut work, .. } = self.coarse(&coarse, PackSearch::Fast)?;
-        tried.truncate(if n > THOUSANDS { 1 } else { FINALISTS });
+        tried.truncate(by_count(&FINALISTS_OF_MANY, n));
         let mut starts = Vec::new();
         if self.request.search == PackSearch::Thorough && n > 1 {
             let found = self.coarse(&coarse, PackSearch::Thorough)?;

@@ -17,7 +17,7 @@ mod shape;
 /// Vertices that move by less, in texels, leave their texels as they are: uploads hold float32.
 pub(super) const STILL: f64 = 4e-4;
 /// Work beyond which an attempt that failed is not made again with more room.
-const CHEAP: u64 = 10_000;
+const CHEAP: u64 = 2_000;
 /// Times that vertices are held where the border crossed, and the rest is tried again.
 const AGAIN: usize = 3;
 /// Faces of a band that is tried again only once.
@@ -223,13 +223,14 @@ impl Trial<'_> {
     fn run(&mut self) -> Result<Merge, Reason> {
         let zip = pairs(self.mesh, self.op);
         let displaced = self.fuse(&zip);
+        if self.vanishes() {
+            self.reach_out();
+            return Err(Reason::Fold);
+        }
         self.spread();
         self.gather()?;
         self.work += self.band.len() as u64;
-        // It depends on what lies about every vertex that it names, whether that moves or not.
-        for &f in self.nodes.iter().flat_map(|n| &n.vertices).flat_map(|&u| &self.mesh.star[u as usize]) {
-            self.region = self.region.union(Bounds::of(&self.aligned_triangle(f)));
-        }
+        self.reach_out();
         for &f in &self.band {
             self.region = self.region.union(Bounds::of(&self.placed_triangle(f)));
         }
@@ -268,6 +269,13 @@ impl Trial<'_> {
             return Err(Reason::Overlap);
         }
         Ok(self.merge(zip))
+    }
+
+    /// It depends on what lies about every vertex that it names, whether that moves or not.
+    fn reach_out(&mut self) {
+        for &f in self.nodes.iter().flat_map(|n| &n.vertices).flat_map(|&u| &self.mesh.star[u as usize]) {
+            self.region = self.region.union(Bounds::of(&self.aligned_triangle(f)));
+        }
     }
 
     /// Makes nodes of the vertices that become one, at their common place; gives the largest displacement.
@@ -410,19 +418,17 @@ impl Trial<'_> {
                 }
             }
         }
-        // A face between two vertices that become one would vanish.
+        Ok(())
+    }
+
+    /// A face between two vertices that become one would vanish.
+    fn vanishes(&self) -> bool {
         let collapses = |f: &u32| {
             let c = self.mesh.corners[*f as usize];
             let n = c.map(|u| self.scratch.node(u));
             (0..3).any(|k| c[k] != c[(k + 1) % 3] && n[k].is_some() && n[k] == n[(k + 1) % 3])
         };
-        let vanishes = self
-            .nodes
-            .iter()
-            .filter(|n| n.seam)
-            .flat_map(|n| &n.vertices)
-            .any(|&u| self.mesh.star[u as usize].iter().any(collapses));
-        if vanishes { Err(Reason::Fold) } else { Ok(()) }
+        self.nodes.iter().flat_map(|n| &n.vertices).any(|&u| self.mesh.star[u as usize].iter().any(collapses))
     }
 
     fn merge(&self, zip: Vec<(u32, u32)>) -> Merge {

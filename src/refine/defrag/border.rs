@@ -1,7 +1,6 @@
 //! What merging does to the topology of a chart: it must stay a part of the plane (section 4.1: genus 0, never closed).
 
-use std::collections::{HashMap, HashSet};
-
+use super::grid::{MixedMap, MixedSet};
 use super::mesh::Mesh;
 use crate::atlas::NONE;
 
@@ -15,8 +14,8 @@ pub(super) fn stays_flat(mesh: &Mesh, zip: &[(u32, u32)], within: bool) -> bool 
         // Without loops there is no telling: what does not overlap itself is flat enough.
         return true;
     }
-    let mut next: HashMap<u32, u32> = HashMap::new();
-    let mut prev: HashMap<u32, u32> = HashMap::new();
+    let mut next: MixedMap<u32, u32> = MixedMap::default();
+    let mut prev: MixedMap<u32, u32> = MixedMap::default();
     let mut loops = 0usize;
     for h in zip.iter().flat_map(|&(h, t)| [h, t]) {
         if next.contains_key(&h) {
@@ -53,7 +52,7 @@ pub(super) fn stays_flat(mesh: &Mesh, zip: &[(u32, u32)], within: bool) -> bool 
             }
         }
     }
-    let mut seen: HashSet<u32> = HashSet::with_capacity(next.len());
+    let mut seen: MixedSet<u32> = MixedSet::with_capacity_and_hasher(next.len(), Default::default());
     let mut left = 0usize;
     for &start in next.keys() {
         if !seen.insert(start) {

@@ -3,7 +3,7 @@
 //! A loose grid on several levels: a face lies in the one cell that its middle is in, on the level whose cells are as large as it
 //! is; so adding and removing cost nothing to speak of, and a query looks half a cell further.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasherDefault, Hasher};
 
 use glam::DVec2;
@@ -13,12 +13,17 @@ use crate::atlas::bvh::Bounds;
 /// Levels: cells double from one to the next.
 const LEVELS: usize = 32;
 
+/// Maps of small whole numbers.
+pub(super) type MixedMap<K, V> = HashMap<K, V, BuildHasherDefault<Mix>>;
+/// Sets of them.
+pub(super) type MixedSet<K> = HashSet<K, BuildHasherDefault<Mix>>;
+
 /// The grid of one chart.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Grid {
     /// Side of the smallest cells.
     cell: f64,
-    cells: HashMap<(u32, i32, i32), Vec<u32>, BuildHasherDefault<Mix>>,
+    cells: MixedMap<(u32, i32, i32), Vec<u32>>,
     /// Faces by level.
     count: [u32; LEVELS],
 }
@@ -34,8 +39,8 @@ impl Grid {
         let size = bounds.size().max_element();
         let level = (size / self.cell).max(1.0).log2().ceil().clamp(0.0, (LEVELS - 1) as f64) as u32;
         let side = self.cell * f64::from(1u32 << level.min(31));
-        let middle = ((bounds.min + bounds.max) * (0.5 / side)).floor();
-        (level, middle.x as i32, middle.y as i32)
+        let middle = (bounds.min + bounds.max) * (0.5 / side);
+        (level, cell(middle.x), cell(middle.y))
     }
 
     pub(super) fn add(&mut self, face: u32, bounds: &Bounds) {
@@ -65,7 +70,7 @@ impl Grid {
             }
             let side = self.cell * f64::from(1u32 << level.min(31));
             let half = DVec2::splat(0.5 * side);
-            let (low, high) = (((bounds.min - half) / side).floor(), ((bounds.max + half) / side).floor());
+            let (low, high) = ((bounds.min - half) / side, (bounds.max + half) / side);
             let spread = high - low + 1.0;
             let cells = spread.x * spread.y;
             if cells > 4.0 * f64::from(count) + 64.0 || cells.is_nan() {
@@ -76,8 +81,8 @@ impl Grid {
                 }
                 return;
             }
-            for y in low.y as i32..=high.y as i32 {
-                for x in low.x as i32..=high.x as i32 {
+            for y in cell(low.y)..=cell(high.y) {
+                for x in cell(low.x)..=cell(high.x) {
                     for &face in self.cells.get(&(level as u32, x, y)).into_iter().flatten() {
                         if !visit(face) {
                             return;
@@ -87,6 +92,12 @@ impl Grid {
             }
         }
     }
+}
+
+/// The cell that a coordinate is in.
+fn cell(at: f64) -> i32 {
+    let towards_zero = at as i32;
+    towards_zero.saturating_sub(i32::from(f64::from(towards_zero) > at))
 }
 
 /// A hasher for small whole numbers; nothing depends on the order in which the map would be walked.

@@ -13,6 +13,9 @@ use crate::refine::stage::Frame;
 /// How far corners may lie from whole texels to be put there: resampling counts less than this as none.
 const WHOLE: f64 = 5e-4;
 
+/// Charts grow by no more than this.
+const MOST_GROWTH: f64 = 1.25;
+
 /// The atlas, with charts ready for packing.
 pub(super) struct Placed {
     /// Charts may overlap: pack it before use.
@@ -82,6 +85,7 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
             there.iter().for_each(|&f| exact[f as usize] = true);
         }
     }
+    let mut scale = vec![1.0; mesh.uv.len()];
     // Vertices of faces that keep their texels lie exactly where they did, by whole texels and quarter turns.
     let mut at: Vec<Option<DVec2>> = vec![None; mesh.uv.len()];
     for f in (0..mesh.corners.len()).filter(|&f| exact[f]) {
@@ -100,6 +104,14 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
     }
     // Charts that were not touched, and those that are not finite, stay bit for bit.
     let touched: Vec<bool> = mesh.charts.iter().map(|c| c.parts.len() > 1 || !c.changes.is_empty()).collect();
+    // What is resampled anyway gets as many texels as it had: seams that were pulled together made it smaller.
+    for (_, chart) in mesh.charts.iter().enumerate().filter(|(c, _)| free[*c] && touched[*c]) {
+        let grown = growth(&mesh, &chart.faces);
+        for &u in chart.faces.iter().flat_map(|&f| &mesh.corners[f as usize]) {
+            scale[u as usize] = grown;
+        }
+    }
+    at.iter_mut().zip(&scale).for_each(|(at, scale)| *at = at.map(|p| p * *scale));
     let mut seen = vec![false; mesh.charts.len()];
     let mut in_order = Vec::new();
     for &c in &mesh.chart_of {
@@ -115,6 +127,15 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
         if mirrored[c] { now.map(mirror) } else { now }
     });
     Placed { atlas, free: in_order, preserved: preserved / f64::max(total, 1e-300) }
+}
+
+/// By how much the faces must grow in both directions to cover as many texels as in the input; never less than one.
+fn growth(mesh: &Mesh, faces: &[u32]) -> f64 {
+    let area = |t: [DVec2; 3]| 0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs();
+    let before: f64 = faces.iter().map(|&f| area(mesh.rest[f as usize])).sum();
+    let now: f64 = faces.iter().map(|&f| area(mesh.triangle(f))).sum();
+    let grown = (before / now).sqrt();
+    if grown.is_finite() { grown.clamp(1.0, MOST_GROWTH) } else { 1.0 }
 }
 
 /// Whether a face lies where its chart of the input was moved.

@@ -64,13 +64,18 @@ impl Trial<'_> {
             }
         }
         // The band against itself: by a sweep along x.
-        let mut order: Vec<(f64, usize)> = placed.iter().enumerate().map(|(i, t)| (Bounds::of(t).min.x, i)).collect();
-        order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        for (n, &(_, i)) in order.iter().enumerate() {
-            let bounds = Bounds::of(&placed[i]);
-            for &(x, j) in &order[n + 1..] {
-                if x > bounds.max.x || found.len() >= MOST {
+        let bounds: Vec<Bounds> = placed.iter().map(|t| Bounds::of(t)).collect();
+        let mut order: Vec<u32> = (0..placed.len() as u32).collect();
+        order.sort_unstable_by(|&a, &b| bounds[a as usize].min.x.total_cmp(&bounds[b as usize].min.x).then(a.cmp(&b)));
+        for (n, &i) in order.iter().enumerate() {
+            let i = i as usize;
+            for &j in &order[n + 1..] {
+                let j = j as usize;
+                if bounds[j].min.x > bounds[i].max.x || found.len() >= MOST {
                     break;
+                }
+                if !bounds[i].meets(&bounds[j]) {
+                    continue;
                 }
                 looked += 1;
                 if clash(mesh, self.band[i], &placed[i], self.band[j], &placed[j]) {

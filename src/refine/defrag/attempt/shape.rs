@@ -11,6 +11,9 @@ use crate::refine::defrag::params::Search;
 
 /// Rounds of rotations and positions.
 const ROUNDS: usize = 20;
+/// Those after which it shows whether the rest is of use, and triangles turned over then of which no one gets rid.
+const FIRST: usize = 5;
+const HOPELESS: usize = 30;
 /// A round is the last when nothing moves by more, relative to the largest displacement.
 const SETTLED: f64 = 0.02;
 /// Times that triangles which are turned over are made stiffer.
@@ -55,9 +58,19 @@ impl Trial<'_> {
         let usual = vec![1.0; rest.len()];
         let patch = Patch { triangles: &triangles, rest: &rest, stiffness: &usual, free: &free };
         let system = Arap::new(&patch).ok_or(Reason::Singular)?;
-        system.relax(&mut positions, ROUNDS, SETTLED * displaced);
-        self.work += (ROUNDS / 4 * self.band.len()) as u64;
-        if self.params.search == Search::Partial {
+        let partial = self.params.search == Search::Partial;
+        let mut rounds = ROUNDS;
+        if partial {
+            system.relax(&mut positions, FIRST, SETTLED * displaced);
+            self.work += (FIRST / 4 * self.band.len()) as u64;
+            if triangles.iter().zip(&rest).filter(|(t, r)| is_folded(t, r, &positions)).count() > HOPELESS {
+                return Err(Reason::Fold);
+            }
+            rounds -= FIRST;
+        }
+        system.relax(&mut positions, rounds, SETTLED * displaced);
+        self.work += (rounds / 4 * self.band.len()) as u64;
+        if partial {
             self.unfold(&triangles, &rest, &free, &mut positions)?;
         }
         if positions.iter().any(|p| !p.is_finite()) {
@@ -81,8 +94,7 @@ impl Trial<'_> {
             let mut near = vec![false; free.len()];
             let mut folded = 0;
             for ((t, r), s) in triangles.iter().zip(rest).zip(&mut stiffness) {
-                let now = t.map(|v| positions[v as usize]);
-                if sign(r) > 0 && jacobian(r, &now).is_some_and(|j| singular_values(&j)[1] < 2.0 * LOST) {
+                if is_folded(t, r, positions) {
                     *s *= STIFFER;
                     folded += 1;
                     t.iter().for_each(|v| near[*v as usize] = true);
@@ -98,6 +110,9 @@ impl Trial<'_> {
             self.work += triangles.len() as u64;
             if untangle(triangles, &areas, free, 3.0 * LOST, positions) {
                 break;
+            }
+            if folded > MOST_FOLDS {
+                return Err(Reason::Fold);
             }
             positions.copy_from_slice(&before);
             for _ in 0..2 + harder / 2 {
@@ -152,4 +167,10 @@ impl Trial<'_> {
         let limit = self.params.local_energy() * if small { ISLAND } else { 1.0 };
         if energy <= limit * weight + 1e-12 { Ok(()) } else { Err(Reason::Local) }
     }
+}
+
+/// Whether a triangle that lies the right way round in the input is turned over, or all but flat.
+fn is_folded(triangle: &[u32; 3], rest: &[DVec2; 3], positions: &[DVec2]) -> bool {
+    let now = triangle.map(|v| positions[v as usize]);
+    sign(rest) > 0 && jacobian(rest, &now).is_some_and(|j| singular_values(&j)[1] < 2.0 * LOST)
 }
