@@ -41,7 +41,7 @@ pub struct Defrag {
     /// Texels, squared: islands smaller than this are joined to a neighbour whatever becomes of their shape, 0..=1000000. Not with `search: "paper"`.
     #[schema(minimum = 0, maximum = 1000000)]
     pub island_area: f64,
-    /// Part of a chart's 3D area that must keep its texels for the chart to be placed so that it does, 0..=1 (section 4.5: 0.05).
+    /// Part of a chart's 3D area that must keep its texels for the chart to be placed so that it does, 0..=1 (section 4.5; there 0.05).
     #[schema(minimum = 0, maximum = 1)]
     pub min_preserved: f64,
 }
