@@ -28,6 +28,8 @@ pub enum Command {
     Sample(Sample),
     /// Print the OpenAPI document of the service.
     Openapi,
+    /// Ask a running service on this machine whether it is alive; exit code 0 when it is.
+    Health(Health),
 }
 
 /// `intarsia serve`: every flag is also an environment variable.
@@ -39,9 +41,9 @@ pub struct Serve {
     /// Folder of the queue, the uploads and the results.
     #[arg(long, env = "INTARSIA_DATA_DIR", default_value = "./intarsia-data")]
     pub data_dir: PathBuf,
-    /// Threads that compute; 0 takes all cores.
-    #[arg(long, env = "INTARSIA_THREADS", default_value_t = 0)]
-    pub threads: usize,
+    /// How jobs are run.
+    #[command(flatten)]
+    pub work: Work,
     /// Origin that browsers may call from, or `*`; may be given several times.
     #[arg(long, env = "INTARSIA_ALLOW_ORIGIN", value_delimiter = ',')]
     pub allow_origin: Vec<String>,
@@ -66,6 +68,52 @@ pub enum LogFormat {
     Text,
     /// One JSON object a line.
     Json,
+}
+
+/// `intarsia health`.
+#[derive(Debug, Clone, Args)]
+pub struct Health {
+    /// Address that the service listens on.
+    #[arg(long, env = "INTARSIA_LISTEN", default_value = "127.0.0.1:8080")]
+    pub listen: SocketAddr,
+}
+
+/// How the service runs jobs.
+#[derive(Debug, Clone, PartialEq, Eq, Args)]
+pub struct Work {
+    /// Threads of one job; 0 takes all cores.
+    #[arg(long, env = "INTARSIA_THREADS", default_value_t = 0)]
+    pub threads: usize,
+    /// Jobs that run at once; where there are several, one of them is always a small one.
+    #[arg(long, env = "INTARSIA_JOBS", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub jobs: u16,
+    /// Bytes that running jobs may need together, by an estimate from the headers of their files; without it, three quarters of what the
+    /// machine (or its control group) has.
+    #[arg(long, env = "INTARSIA_MEMORY", value_parser = parse_size)]
+    pub memory: Option<u64>,
+    /// How long a worker that does not move is believed to be alive.
+    #[arg(long, env = "INTARSIA_LEASE", default_value = "30s", value_parser = parse_duration)]
+    pub lease: Duration,
+    /// How long running jobs may go on when the service is told to stop; then they go back to the queue.
+    #[arg(long, env = "INTARSIA_GRACE", default_value = "5s", value_parser = parse_duration)]
+    pub grace: Duration,
+}
+
+impl Work {
+    /// Bytes that running jobs may need together.
+    pub fn memory(&self) -> u64 {
+        self.memory.unwrap_or_else(|| machine_memory().unwrap_or(8 << 30) / 4 * 3).max(1)
+    }
+}
+
+/// Bytes of memory of the machine, or of the control group that the process is in, where that is less.
+fn machine_memory() -> Option<u64> {
+    let info = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let total =
+        info.lines().find_map(|l| l.strip_prefix("MemTotal:"))?.trim().strip_suffix(" kB")?.parse::<u64>().ok()? * 1024;
+    let group =
+        std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok().and_then(|text| text.trim().parse::<u64>().ok());
+    Some(group.map_or(total, |group| group.min(total)))
 }
 
 /// What the service refuses, and what it keeps how long.

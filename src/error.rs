@@ -32,6 +32,8 @@ pub enum Code {
     Gone,
     /// The job is in a state that does not allow the request (HTTP).
     Conflict,
+    /// The `Idempotency-Key` was used for another request (HTTP).
+    IdempotencyMismatch,
     /// The queue is full (HTTP).
     QueueFull,
     /// Intarsia is at fault.
@@ -55,6 +57,7 @@ impl Code {
             Code::NotFound => "not_found",
             Code::Gone => "gone",
             Code::Conflict => "conflict",
+            Code::IdempotencyMismatch => "idempotency_mismatch",
             Code::QueueFull => "queue_full",
             Code::Internal => "internal",
         }

@@ -30,4 +30,5 @@ pub mod metrics;
 mod numeric;
 pub mod packing;
 pub mod refine;
+pub mod telemetry;
 pub mod texture;

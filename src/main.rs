@@ -1,4 +1,4 @@
-//! The command line: serve, refine, inspect, sample, openapi.
+//! The command line: serve, refine, inspect, sample, openapi, health.
 //!
 //! Exit codes: 0 done; 1 internal; 2 usage; 3 the input is at fault; 4 a requirement is not met.
 
@@ -19,6 +19,7 @@ fn main() -> ExitCode {
         Command::Inspect(arguments) => commands::inspect::run(&arguments),
         Command::Sample(arguments) => commands::sample::run(&arguments),
         Command::Openapi => commands::openapi::run(),
+        Command::Health(arguments) => commands::health::run(&arguments),
     }) else {
         return ExitCode::from(1);
     };

@@ -23,7 +23,7 @@ pub fn run(arguments: &Inspect) -> Result<()> {
     }
     let input = super::read_input(&arguments.input, &options)?;
     let context = Context::new(Arc::new(Teller::Quiet), Arc::new(AtomicBool::new(false)), options.seed);
-    let pool = intarsia::jobs::pool(arguments.threads)?;
+    let pool = intarsia::jobs::slots::pool(arguments.threads)?;
     let (report, failures) = pool.install(|| inspect_and_judge(&input, &options, &context))?;
     let columns = table::columns(&report, "before");
     let text = if arguments.json { super::pretty(&report) } else { table::render(&columns) };

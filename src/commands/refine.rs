@@ -27,7 +27,7 @@ pub fn run(arguments: &Refine) -> Result<()> {
     let limit = options.time_limit_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
     let teller = Arc::new(Teller::new(arguments.quiet));
     let context = Context::new(teller.clone(), Arc::new(AtomicBool::new(false)), options.seed).with_time_limit(limit);
-    let pool = intarsia::jobs::pool(arguments.threads)?;
+    let pool = intarsia::jobs::slots::pool(arguments.threads)?;
     let outcome = pool.install(|| refine(&input, &options, &context));
     teller.end();
     let outcome = outcome?;

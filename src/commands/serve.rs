@@ -11,7 +11,7 @@ use intarsia::jobs::Jobs;
 use tokio::net::TcpListener;
 use tokio::time::timeout;
 
-/// How long running requests and the running job may take to end when the service is told to stop.
+/// How long, beyond the grace of running jobs, requests and jobs may take to end when the service is told to stop.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Serves until it is told to stop (SIGINT, SIGTERM). The running job then goes back to the queue.
@@ -29,7 +29,11 @@ pub fn run(arguments: &Serve) -> Result<()> {
 }
 
 async fn serve(arguments: &Serve) -> Result<()> {
-    let jobs = Jobs::open(&arguments.data_dir, arguments.threads, arguments.limits.clone()).await?;
+    // A service with many listeners has many open files.
+    if let Err(error) = rlimit::increase_nofile_limit(u64::MAX) {
+        tracing::warn!(%error, "the limit of open files stays as it is");
+    }
+    let jobs = Jobs::open(&arguments.data_dir, &arguments.work, arguments.limits.clone()).await?;
     let service = router(App::new(jobs.clone(), arguments.list_jobs), &arguments.allow_origin)?;
     let failed =
         |e: std::io::Error| Failure::new(Code::InvalidRequest, format!("cannot listen on {}: {e}", arguments.listen));
@@ -51,7 +55,8 @@ async fn serve(arguments: &Serve) -> Result<()> {
     });
     jobs.shutdown.cancelled().await;
     // Whatever does not end in time is cut off: the queue is made for that.
-    let _ = timeout(PATIENCE, async { tokio::join!(worker, upkeep, server) }).await;
+    let _ =
+        timeout(arguments.work.grace.saturating_add(PATIENCE), async { tokio::join!(worker, upkeep, server) }).await;
     Ok(())
 }
 

@@ -1,8 +1,8 @@
 //! `/v1/jobs/{id}/events`: server-sent events of one job.
 //!
 //! Events are the differences between what the client has been told and how the job is now, so a slow client gets fewer
-//! of them and never a queue of old ones. An id is `<attempt>.<warnings told>`: with it, a client that comes back is
-//! told the warnings that it missed.
+//! of them and never a queue of old ones; only stages and warnings are told one by one. An id is
+//! `<attempt>.<stages told>.<warnings told>`: with it, a client that comes back is told those that it missed.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -45,13 +45,15 @@ pub(super) async fn follow(
     // The listener first, the job second: what happens in between is then not missed.
     let live = app.jobs.hub.follow(&id);
     let job = app.jobs.get(&id).await?;
-    let last = headers.get("last-event-id").and_then(|v| v.to_str().ok()).and_then(|v| v.split_once('.'));
-    let heard = last.and_then(|(attempt, told)| Some((attempt.parse::<u32>().ok()?, told.parse::<usize>().ok()?)));
+    let heard = headers.get("last-event-id").and_then(|v| v.to_str().ok()).and_then(heard);
     let mut told = Told::of(&job);
-    if let Some((attempt, warnings)) = heard
-        && attempt == job.attempt
-    {
-        told.warnings = warnings.min(job.warnings.len());
+    match heard {
+        Some((attempt, stages, warnings)) if attempt == job.attempt => {
+            told.stages = stages.min(job.stages.len());
+            told.warnings = warnings.min(job.warnings.len());
+        }
+        Some(_) => told.warnings = 0,
+        None => {}
     }
     let mut pending = VecDeque::from([told.event("snapshot", &job)]);
     pending.extend(told.news(&job));
@@ -77,7 +79,7 @@ impl Follower {
             if let Some(event) = self.pending.pop_front() {
                 return Some(event);
             }
-            if self.told.state.is_final() {
+            if self.told.at_end() {
                 return None;
             }
             let shutdown = self.app.jobs.shutdown.clone();
@@ -88,7 +90,7 @@ impl Follower {
             match self.app.jobs.get(&self.id).await {
                 Ok(job) => self.pending.extend(self.told.news(&job)),
                 Err(failure) if failure.code == Code::NotFound => {
-                    self.told.state = JobState::Canceled;
+                    self.told.state = Some(JobState::Canceled);
                     let gone = serde_json::json!({"id": self.id, "state": JobState::Canceled});
                     self.pending.push_back(self.told.event("state", &gone));
                 }
@@ -115,18 +117,32 @@ impl Follower {
     }
 }
 
+/// What an id says: attempt, stages and warnings.
+fn heard(id: &str) -> Option<(u32, usize, usize)> {
+    let mut parts = id.split('.');
+    let (attempt, stages, warnings) = (parts.next()?, parts.next()?, parts.next()?);
+    Some((attempt.parse().ok()?, stages.parse().ok()?, warnings.parse().ok()?))
+}
+
 /// What the client knows.
 struct Told {
-    state: JobState,
+    /// `None`: only what the snapshot says.
+    state: Option<JobState>,
     attempt: u32,
     progress: Progress,
+    stages: usize,
     warnings: usize,
 }
 
 impl Told {
+    /// What a snapshot tells: everything but the stages that have passed, and the end, which has an event of its own.
     fn of(job: &Job) -> Self {
-        let warnings = job.warnings.len();
-        Told { state: job.state, attempt: job.attempt, progress: job.progress.clone(), warnings }
+        let state = (!job.state.is_final()).then_some(job.state);
+        Told { state, attempt: job.attempt, progress: job.progress.clone(), stages: 0, warnings: job.warnings.len() }
+    }
+
+    fn at_end(&self) -> bool {
+        self.state.is_some_and(JobState::is_final)
     }
 
     /// What the client does not know yet.
@@ -134,7 +150,14 @@ impl Told {
         let mut events = Vec::new();
         if job.attempt != self.attempt {
             self.attempt = job.attempt;
-            self.warnings = 0;
+            (self.stages, self.warnings) = (0, 0);
+        }
+        for stage in job.stages.iter().skip(self.stages) {
+            self.stages += 1;
+            // The fraction that a client sees never falls.
+            let fraction = stage.fraction.max(self.progress.fraction);
+            self.progress = Progress { fraction, ..stage.clone() };
+            events.push(self.event("progress", &self.progress));
         }
         for warning in job.warnings.iter().skip(self.warnings) {
             self.warnings += 1;
@@ -144,8 +167,8 @@ impl Told {
             self.progress = job.progress.clone();
             events.push(self.event("progress", &job.progress));
         }
-        if job.state != self.state {
-            self.state = job.state;
+        if self.state != Some(job.state) {
+            self.state = Some(job.state);
             events.push(self.event("state", job));
         }
         events
@@ -153,6 +176,19 @@ impl Told {
 
     fn event<T: serde::Serialize>(&self, name: &str, data: &T) -> Event {
         let text = serde_json::to_string(data).unwrap_or_default();
-        Event::default().event(name).id(format!("{}.{}", self.attempt, self.warnings)).data(text)
+        Event::default().event(name).id(format!("{}.{}.{}", self.attempt, self.stages, self.warnings)).data(text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_are_read_and_what_is_none_is_not() {
+        assert_eq!(heard("2.3.17"), Some((2, 3, 17)));
+        for bad in ["", "1", "1.2", "a.b.c", "-1.0.0", "1..2"] {
+            assert_eq!(heard(bad), None, "{bad}");
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! `/healthz`, `/readyz`, `/openapi.json`.
+//! `/healthz`, `/readyz`, `/metrics`, `/openapi.json`.
 
 use axum::Json;
 use axum::extract::State;
@@ -37,8 +37,17 @@ pub(super) async fn ready(State(app): State<App>) -> Answer<Json<Health>> {
     if app.jobs.shutdown.is_cancelled() {
         return Err(unready("the service is shutting down"));
     }
-    app.jobs.queue.waiting().await.map_err(|_| unready("the job queue does not answer"))?;
+    app.jobs.waiting().await.map_err(|_| unready("the job queue does not answer"))?;
     Ok(Json(OK))
+}
+
+/// Figures for Prometheus.
+#[utoipa::path(get, path = "/metrics", tag = "service", responses(
+    (status = 200, description = "In the text format of Prometheus", content_type = "text/plain", body = String),
+    (status = 500, description = "The job queue does not answer", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn metrics(State(app): State<App>) -> Answer {
+    let text = app.jobs.telemetry.text(&app.jobs.queue.counts().await?, app.jobs.slots.taken())?;
+    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
 }
 
 /// The OpenAPI document.

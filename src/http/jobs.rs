@@ -9,6 +9,7 @@ use sha2::{Digest, Sha256};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
+use super::prefer;
 use super::problem::{Answer, Problem};
 use super::upload::{self, Submission};
 use crate::error::{Code, Failure};
@@ -19,30 +20,56 @@ const RETRY_AFTER: HeaderValue = HeaderValue::from_static("1");
 
 /// Submits a model. It is checked at the door, stored, and computed later: follow the job.
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs",
-    params(("recipe" = Option<String>, Query, description = "With a raw model: a preset, or stages joined by commas")),
+    params(("recipe" = Option<String>, Query, description = "With a raw model: a preset, or stages joined by commas"),
+        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
+        ("Idempotency-Key" = Option<String>, Header,
+            description = "The client's name for this request: sent again under it, it is answered with the job that it made"),
+        ("X-Request-Id" = Option<String>, Header, description = "Stands in the logs beside everything that the job does")),
     request_body(content(
         (Submission = "multipart/form-data"), (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "application/zip"),
         (Vec<u8> = "application/octet-stream"), (String = "model/gltf+json"))),
     responses(
+        (status = 200, description = "Waited for: the job is final", body = Job,
+            headers(("Location" = String, description = "The job"), ("Preference-Applied" = String, description = "The wait"))),
         (status = 202, description = "Stored", body = Job,
-            headers(("Location" = String, description = "The job"), ("Retry-After" = u32, description = "Seconds"))),
+            headers(("Location" = String, description = "The job"), ("Retry-After" = u32, description = "Seconds"),
+                ("Preference-Applied" = Option<String>, description = "The wait that was not long enough"),
+                ("Idempotency-Replayed" = Option<String>, description = "`true`: the request was known by its key"))),
+        (status = 408, description = "The upload stood still", body = Problem, content_type = "application/problem+json"),
         (status = 400, description = "Not a model, or a malformed request", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "A limit is exceeded", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "Neither multipart nor a model", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The options are not valid", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The options are not valid, or the key belongs to another request", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "The queue is full", body = Problem, content_type = "application/problem+json",
             headers(("Retry-After" = u32, description = "Seconds")))))]
 pub(super) async fn submit(State(app): State<App>, request: Request) -> Answer {
-    let job = upload::receive(&app, request).await?;
+    let wait = prefer::wait(request.headers());
+    let (mut job, known) = upload::receive(&app, request).await?;
+    if let Some(wait) = wait {
+        job = app.jobs.settled(&job.id, wait).await?;
+    }
     let location = HeaderValue::from_str(&format!("/v1/jobs/{}", job.id))
         .map_err(|e| Failure::internal(format!("an id cannot stand in a header: {e}")))?;
-    let headers = [(header::LOCATION, location), (header::RETRY_AFTER, RETRY_AFTER)];
-    Ok((StatusCode::ACCEPTED, headers, Json(job)).into_response())
+    let done = wait.is_some() && job.state.is_final();
+    let mut response = (if done { StatusCode::OK } else { StatusCode::ACCEPTED }, Json(job)).into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::LOCATION, location);
+    if !done {
+        headers.insert(header::RETRY_AFTER, RETRY_AFTER);
+    }
+    if let Some(wait) = wait {
+        prefer::applied(headers, wait);
+    }
+    if known {
+        headers.insert("idempotency-replayed", HeaderValue::from_static("true"));
+    }
+    Ok(response)
 }
 
 /// A job.
 #[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs",
     params(("id" = String, Path, description = "Id of the job"),
+        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
         ("If-None-Match" = Option<String>, Header, description = "ETags that the client has")),
     responses(
         (status = 200, body = Job, headers(("ETag" = String, description = "Of this answer"),
@@ -50,7 +77,11 @@ pub(super) async fn submit(State(app): State<App>, request: Request) -> Answer {
         (status = 304, description = "Nothing has changed"),
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Answer {
-    let job = app.jobs.get(&id).await?;
+    let wait = prefer::wait(&headers);
+    let job = match wait {
+        Some(wait) => app.jobs.settled(&id, wait).await?,
+        None => app.jobs.get(&id).await?,
+    };
     let body = serde_json::to_vec(&job).map_err(|e| Failure::internal(e.to_string()))?;
     let digest = Sha256::digest(&body);
     let etag = format!("\"{}\"", hex::encode(digest.get(..16).unwrap_or_default()));
@@ -66,6 +97,9 @@ pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers
     }
     if !job.state.is_final() {
         headers.insert(header::RETRY_AFTER, RETRY_AFTER);
+    }
+    if let Some(wait) = wait {
+        prefer::applied(headers, wait);
     }
     Ok(response)
 }

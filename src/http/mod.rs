@@ -5,6 +5,7 @@ mod door;
 mod events;
 mod health;
 mod jobs;
+mod prefer;
 pub mod problem;
 mod recipes;
 pub mod router;

@@ -27,6 +27,7 @@ pub fn status(code: Code) -> (StatusCode, &'static str) {
         Code::NotFound => (StatusCode::NOT_FOUND, "Not found"),
         Code::Gone => (StatusCode::GONE, "Removed"),
         Code::Conflict => (StatusCode::CONFLICT, "The state of the job does not allow this"),
+        Code::IdempotencyMismatch => (StatusCode::UNPROCESSABLE_ENTITY, "The key belongs to another request"),
         Code::QueueFull => (StatusCode::SERVICE_UNAVAILABLE, "The service is busy"),
         Code::Internal => (StatusCode::INTERNAL_SERVER_ERROR, "Intarsia is at fault"),
     }

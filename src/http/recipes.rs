@@ -95,8 +95,14 @@ pub(super) struct LimitList {
     keep_artifacts_s: f64,
     /// Seconds that a job can be asked for after its end.
     keep_jobs_s: f64,
-    /// Threads that compute.
+    /// Threads of one job.
     threads: u64,
+    /// Jobs that run at once.
+    jobs: u64,
+    /// Bytes that running jobs may need together; a job that is expected to need more is refused.
+    memory_bytes: u64,
+    /// Longest `Prefer: wait=N`, in seconds.
+    max_prefer_wait_s: u64,
 }
 
 /// Every limit of this service.
@@ -118,7 +124,10 @@ pub(super) async fn limits(State(app): State<App>) -> Json<LimitList> {
         max_wait_s: l.max_wait.as_secs_f64(),
         keep_artifacts_s: l.keep_artifacts.as_secs_f64(),
         keep_jobs_s: l.keep_jobs.as_secs_f64(),
-        threads: app.jobs.threads() as u64,
+        threads: app.jobs.slots.threads() as u64,
+        jobs: app.jobs.slots.count() as u64,
+        memory_bytes: app.jobs.slots.memory(),
+        max_prefer_wait_s: super::prefer::MAX_WAIT,
     })
 }
 

@@ -1,13 +1,15 @@
 //! All routes, and what surrounds every one of them.
 
 use std::panic::AssertUnwindSafe;
+use std::time::Instant;
 
 use axum::Router;
-use axum::extract::{DefaultBodyLimit, Request};
-use axum::http::{HeaderName, HeaderValue, Method, StatusCode, header};
-use axum::middleware::{Next, from_fn};
+use axum::extract::{DefaultBodyLimit, MatchedPath, Request, State};
+use axum::http::{Extensions, HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version, header};
+use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
+use tower_http::compression::CompressionLayer;
 use tower_http::cors::{AllowOrigin, Any, CorsLayer};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::trace::{DefaultOnFailure, DefaultOnResponse, TraceLayer};
@@ -32,6 +34,7 @@ fn all() -> OpenApiRouter<App> {
         .routes(routes!(recipes::limits))
         .routes(routes!(health::alive))
         .routes(routes!(health::ready))
+        .routes(routes!(health::metrics))
         .routes(routes!(health::contract))
 }
 
@@ -50,11 +53,18 @@ pub fn router(app: App, origins: &[String]) -> Result<Router> {
         })
         // Uploads have a limit of their own, counted while they stream to the disk.
         .layer(DefaultBodyLimit::disable())
-        .layer(from_fn(catch_panics));
+        .layer(from_fn(catch_panics))
+        .layer(from_fn_with_state(app.clone(), counted))
+        .layer(CompressionLayer::new().compress_when(is_text));
     if !origins.is_empty() {
         router = router.layer(cors(origins)?);
     }
     let trace = TraceLayer::new_for_http()
+        .make_span_with(|request: &Request| {
+            let id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).unwrap_or_default();
+            let id: String = id.chars().take(100).collect();
+            tracing::info_span!("request", method = %request.method(), path = request.uri().path(), id)
+        })
         .on_response(DefaultOnResponse::new().level(Level::DEBUG))
         .on_failure(DefaultOnFailure::new().level(Level::WARN));
     Ok(router
@@ -104,6 +114,9 @@ fn cors(origins: &[String]) -> Result<CorsLayer> {
             header::IF_RANGE,
             header::RANGE,
             HeaderName::from_static("last-event-id"),
+            HeaderName::from_static("prefer"),
+            HeaderName::from_static("idempotency-key"),
+            HeaderName::from_static("x-request-id"),
         ])
         .expose_headers([
             header::LOCATION,
@@ -112,7 +125,35 @@ fn cors(origins: &[String]) -> Result<CorsLayer> {
             header::CONTENT_DISPOSITION,
             header::CONTENT_RANGE,
             header::ACCEPT_RANGES,
+            HeaderName::from_static("preference-applied"),
+            HeaderName::from_static("idempotency-replayed"),
+            HeaderName::from_static("x-request-id"),
         ]))
+}
+
+/// Whether an answer is compressed where the client takes that: JSON and metrics, not streams, nor artifacts, of which ranges can be
+/// asked for.
+fn is_text(_: StatusCode, _: Version, headers: &HeaderMap, _: &Extensions) -> bool {
+    let media_type = headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    let media_type = media_type.split(';').next().unwrap_or_default();
+    matches!(media_type, "application/json" | "application/problem+json" | "text/plain")
+        && !headers.contains_key(header::ACCEPT_RANGES)
+}
+
+/// Counts an answer.
+async fn counted(State(app): State<App>, route: Option<MatchedPath>, request: Request, next: Next) -> Response {
+    let (started, method) = (Instant::now(), request.method().clone());
+    let response = next.run(request).await;
+    // Methods that nobody defined are one.
+    let method = match method {
+        Method::GET | Method::POST | Method::DELETE | Method::HEAD | Method::OPTIONS | Method::PUT | Method::PATCH => {
+            method
+        }
+        _ => Method::TRACE,
+    };
+    let route = route.as_ref().map_or("other", MatchedPath::as_str);
+    app.jobs.telemetry.answered(method.as_str(), route, response.status().as_u16(), started.elapsed());
+    response
 }
 
 /// A panic in a handler is answered, and ends that request only.

@@ -5,6 +5,7 @@ use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, header};
 use futures_util::{Stream, StreamExt};
 use serde_json::Value;
+use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
@@ -20,6 +21,7 @@ use super::door;
 use super::problem::{Answer, Problem};
 use crate::error::{Code, Failure};
 use crate::jobs::files::{Manifest, Stored, disk};
+use crate::jobs::queue::NewJob;
 use crate::jobs::record::{Job, new_id};
 use crate::refine::options::Options;
 use crate::refine::parse;
@@ -29,6 +31,8 @@ pub(super) const MAX_OPTIONS_BYTES: usize = 1 << 20;
 /// How much of a refused request is still read, and for how long.
 const DRAINED_BYTES: usize = 32 << 20;
 const DRAINED_TIME: Duration = Duration::from_secs(3);
+/// Bytes of an Idempotency-Key.
+const MAX_KEY_BYTES: usize = 255;
 /// Bytes of a file's relative path.
 const MAX_PATH_BYTES: usize = 1024;
 
@@ -46,8 +50,10 @@ pub(super) struct Submission {
     options: Option<Options>,
 }
 
-/// Receives a submission and stores it as a job.
-pub(super) async fn receive(app: &App, request: Request) -> Answer<Job> {
+/// Receives a submission and stores it as a job; true when it was known, by its key.
+pub(super) async fn receive(app: &App, request: Request) -> Answer<(Job, bool)> {
+    let key = key(request.headers())?;
+    let request_id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).map(cut);
     let request = request.map(|body| Body::from_stream(Drained(Some(body.into_data_stream()))));
     let _permit = admit(app, request.headers()).await?;
     let mut incoming = Incoming::new(app).await?;
@@ -68,10 +74,27 @@ pub(super) async fn receive(app: &App, request: Request) -> Answer<Job> {
     };
     let options = parse::options(&options).map_err(Problem::options)?;
     incoming.check().await?;
-    let (jobs, id, manifest) = (app.jobs.clone(), incoming.id.clone(), incoming.take());
+    let memory = incoming.memory().await?;
+    let options = serde_json::to_value(&options).map_err(|e| Failure::internal(e.to_string()))?;
+    let key = key.map(|key| (key, incoming.fingerprint(&options)));
+    let (jobs, id, inputs) = (app.jobs.clone(), incoming.id.clone(), incoming.take());
+    let job = NewJob { id, options, inputs, memory, key, request: request_id };
+    app.jobs.telemetry.received.inc_by(incoming.bytes);
     // A task of its own: a client that goes away now does not stop it half-way.
-    let stored = tokio::spawn(async move { jobs.submit(&id, &options, &manifest).await }).await;
+    let stored = tokio::spawn(async move { jobs.submit(&job).await }).await;
     Ok(stored.map_err(|e| Failure::internal(format!("the submission was lost: {e}")))??)
+}
+
+/// The client's name for its request: what is sent again under it is not done again.
+fn key(headers: &HeaderMap) -> Answer<Option<String>> {
+    let Some(value) = headers.get("idempotency-key") else { return Ok(None) };
+    match value.to_str() {
+        Ok(key) if (1..=MAX_KEY_BYTES).contains(&key.len()) => Ok(Some(key.to_owned())),
+        _ => {
+            let detail = format!("an Idempotency-Key has 1 to {MAX_KEY_BYTES} visible ASCII characters");
+            Err(Problem::new(Code::InvalidRequest, detail))
+        }
+    }
 }
 
 /// What is refused before anything is read.
@@ -80,7 +103,8 @@ async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> Answer<SemaphorePermit<
     let Ok(permit) = app.uploads.try_acquire() else {
         return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
     };
-    if app.jobs.queue.waiting().await? >= limits.max_queued {
+    // A request with a key may be known: that shows only when all of it is here.
+    if !headers.contains_key("idempotency-key") && app.jobs.waiting().await? >= u64::from(limits.max_queued) {
         return Err(crate::jobs::queue::queue_full().into());
     }
     let announced = headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
@@ -141,8 +165,8 @@ async fn raw(incoming: &mut Incoming<'_>, request: Request, path: &str) -> Answe
             }
         }
     }
-    let number = incoming.store(request.into_body().into_data_stream()).await?;
-    incoming.manifest.models.push(Stored { path: path.to_owned(), number });
+    let stored = incoming.store(path.to_owned(), request.into_body().into_data_stream()).await?;
+    incoming.manifest.models.push(stored);
     Ok(options)
 }
 
@@ -160,8 +184,8 @@ async fn form(incoming: &mut Incoming<'_>, request: Request) -> Answer<Value> {
             "model" => {
                 let path = relative(field.file_name().filter(|n| !n.is_empty()).unwrap_or("model"))?;
                 incoming.unused(&path)?;
-                let number = incoming.store(field).await?;
-                incoming.manifest.models.push(Stored { path, number });
+                let stored = incoming.store(path, field).await?;
+                incoming.manifest.models.push(stored);
             }
             "files" => {
                 let Some(path) = field.file_name().map(str::to_owned) else {
@@ -169,8 +193,8 @@ async fn form(incoming: &mut Incoming<'_>, request: Request) -> Answer<Value> {
                 };
                 let path = relative(&path)?;
                 incoming.unused(&path)?;
-                let number = incoming.store(field).await?;
-                incoming.manifest.files.push(Stored { path, number });
+                let stored = incoming.store(path, field).await?;
+                incoming.manifest.files.push(stored);
             }
             "options" if options.is_none() => {
                 let mut text = Vec::new();
@@ -218,8 +242,12 @@ impl<'a> Incoming<'a> {
         Ok(Incoming { app, id, folder, manifest: Manifest::default(), bytes: 0, taken: false })
     }
 
-    /// Streams one file to the disk and returns its number.
-    async fn store<E: std::fmt::Display>(&mut self, stream: impl Stream<Item = Result<Bytes, E>>) -> Answer<usize> {
+    /// Streams one file to the disk.
+    async fn store<E: std::fmt::Display>(
+        &mut self,
+        name: String,
+        stream: impl Stream<Item = Result<Bytes, E>>,
+    ) -> Answer<Stored> {
         let limits = &self.app.jobs.limits;
         let number = self.manifest.models.len() + self.manifest.files.len();
         if number >= limits.max_files {
@@ -228,6 +256,7 @@ impl<'a> Incoming<'a> {
         let path = self.folder.join(number.to_string());
         let failed = |e: std::io::Error| Problem::from(disk(&path, &e));
         let mut file = tokio::fs::File::create_new(&path).await.map_err(failed)?;
+        let mut hash = Sha256::new();
         let mut stream = std::pin::pin!(stream);
         while let Some(chunk) = timeout(limits.upload_idle, stream.next()).await.map_err(|_| stalled())? {
             let chunk = chunk.map_err(|e| Problem::new(Code::InvalidRequest, format!("the upload broke off: {e}")))?;
@@ -235,11 +264,12 @@ impl<'a> Incoming<'a> {
             if self.bytes > limits.max_upload {
                 return Err(too_large(limits.max_upload));
             }
+            hash.update(&chunk);
             file.write_all(&chunk).await.map_err(failed)?;
         }
         file.flush().await.map_err(failed)?;
         file.sync_all().await.map_err(failed)?;
-        Ok(number)
+        Ok(Stored { path: name, number, sha256: hex::encode(hash.finalize()) })
     }
 
     /// No two files have one path.
@@ -264,6 +294,23 @@ impl<'a> Incoming<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Bytes that the job is expected to need.
+    async fn memory(&self) -> Answer<u64> {
+        Ok(0)
+    }
+
+    /// What tells this request from others: its options, and its files by name and contents.
+    fn fingerprint(&self, options: &Value) -> String {
+        let mut hash = Sha256::new();
+        hash.update(options.to_string());
+        for (kind, files) in [("model", &self.manifest.models), ("file", &self.manifest.files)] {
+            for file in files {
+                hash.update(format!("\n{kind} {} {}", file.sha256, file.path));
+            }
+        }
+        hex::encode(hash.finalize())
     }
 
     fn take(&mut self) -> Manifest {

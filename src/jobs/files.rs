@@ -1,11 +1,13 @@
-//! The files of jobs: `uploads/<job>/<n>` and `artifacts/<job>/<attempt>/<n>` in the data folder.
+//! The files of jobs, in the data folder: `incoming/<worker>/…` what is being received or written, `uploads/<job>/<n>` what jobs wait
+//! with, `objects/<xx>/<sha256>` the files of results, each once however many jobs have it.
 //!
-//! Names from outside never become paths: files are numbered, and what they are called stands in the queue. A folder
-//! gets its final name only when everything in it is on the disk.
+//! Names from outside never become paths: files are numbered or named by their contents, and what they are called stands in the queue. A
+//! file gets its final name only when all of it is on the disk.
 
 use std::fs;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
@@ -13,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use zip::write::SimpleFileOptions;
 
-use super::record::Entry;
+use super::record::{Entry, new_id};
 use crate::asset::File;
 use crate::error::{Failure, Result};
 use crate::refine::run::Artifact;
@@ -42,38 +44,43 @@ pub struct Stored {
     pub path: String,
     /// Number of its file.
     pub number: usize,
+    /// SHA-256 in hexadecimal digits.
+    #[serde(default)]
+    pub sha256: String,
 }
 
-/// The data folder.
+/// The data folder, as one worker sees it.
 #[derive(Debug, Clone)]
 pub struct Files {
     root: PathBuf,
+    /// This process.
+    owner: String,
+    /// Locked as long as this process lives, so that others can see when it is gone.
+    _lock: Arc<fs::File>,
+}
+
+/// A result that is ready to be stored.
+#[derive(Debug)]
+pub struct Parcel {
+    /// What it consists of, the archive last.
+    pub entries: Vec<Entry>,
+    archive: Option<PathBuf>,
 }
 
 impl Files {
-    /// Opens or makes the folder.
+    /// Opens or makes the folder, and registers this process as a worker: a file that it holds locked while it lives, whatever way it
+    /// ends.
     ///
     /// # Errors
     /// `internal` with the system's words.
     pub fn open(root: &Path) -> Result<Self> {
-        for part in ["uploads", "artifacts", "workers"] {
+        let owner = new_id()?;
+        let incoming = Path::new("incoming").join(&owner);
+        for part in [Path::new("uploads"), Path::new("objects"), Path::new("workers"), &incoming] {
             let folder = root.join(part);
             fs::create_dir_all(&folder).map_err(|e| disk(&folder, &e))?;
         }
-        Ok(Files { root: root.to_owned() })
-    }
-
-    /// Where the queue stands.
-    pub fn queue(&self) -> PathBuf {
-        self.root.join("queue.sqlite")
-    }
-
-    /// Registers a worker: a file that its process holds locked while it lives, whatever way it ends.
-    ///
-    /// # Errors
-    /// `internal` with the system's words.
-    pub fn register_worker(&self, owner: &str) -> Result<fs::File> {
-        let (young, path) = (self.worker(&format!("{owner}{YOUNG}")), self.worker(owner));
+        let (young, path) = (root.join("workers").join(format!("{owner}{YOUNG}")), root.join("workers").join(&owner));
         let lock = || {
             let file = fs::File::create_new(&young)?;
             file.lock()?;
@@ -81,7 +88,18 @@ impl Files {
             fs::rename(&young, &path)?;
             Ok(file)
         };
-        lock().map_err(|e| disk(&path, &e))
+        let lock = lock().map_err(|e| disk(&path, &e))?;
+        Ok(Files { root: root.to_owned(), owner, _lock: Arc::new(lock) })
+    }
+
+    /// The worker that this process is.
+    pub fn owner(&self) -> &str {
+        &self.owner
+    }
+
+    /// Where the queue stands.
+    pub fn queue(&self) -> PathBuf {
+        self.root.join("queue.sqlite")
     }
 
     /// Whether the process of a worker is gone.
@@ -92,14 +110,17 @@ impl Files {
         }
     }
 
-    /// Removes the files of workers that are gone.
+    /// Removes what workers that are gone have left.
     pub fn forget_workers(&self) {
-        for entry in fs::read_dir(self.root.join("workers")).into_iter().flatten().flatten() {
-            let name = entry.file_name();
-            if let Some(owner) = name.to_str().filter(|n| !n.ends_with(YOUNG))
-                && self.worker_is_gone(owner)
-            {
-                let _ = fs::remove_file(entry.path());
+        for folder in ["incoming", "workers"] {
+            for entry in fs::read_dir(self.root.join(folder)).into_iter().flatten().flatten() {
+                let name = entry.file_name();
+                if let Some(owner) = name.to_str().filter(|n| !n.ends_with(YOUNG))
+                    && self.worker_is_gone(owner)
+                {
+                    forget(&self.root.join("incoming").join(owner));
+                    let _ = fs::remove_file(self.worker(owner));
+                }
             }
         }
     }
@@ -110,7 +131,7 @@ impl Files {
 
     /// A folder for an upload that is under way.
     pub fn incoming(&self, job: &str) -> PathBuf {
-        self.root.join("uploads").join(format!("{job}.part"))
+        self.root.join("incoming").join(&self.owner).join(job)
     }
 
     /// Takes a complete upload over. All its files have been synced.
@@ -118,10 +139,14 @@ impl Files {
     /// # Errors
     /// `internal` with the system's words.
     pub fn accept(&self, job: &str) -> Result<()> {
-        let (from, to) = (self.incoming(job), self.root.join("uploads").join(job));
+        let (from, to) = (self.incoming(job), self.uploads(job));
         sync_folder(&from).map_err(|e| disk(&from, &e))?;
         fs::rename(&from, &to).map_err(|e| disk(&to, &e))?;
         sync_folder(&self.root.join("uploads")).map_err(|e| disk(&to, &e))
+    }
+
+    fn uploads(&self, job: &str) -> PathBuf {
+        self.root.join("uploads").join(job)
     }
 
     /// Reads an upload: each model with all side files.
@@ -129,7 +154,7 @@ impl Files {
     /// # Errors
     /// `internal` with the system's words.
     pub fn load(&self, job: &str, manifest: &Manifest) -> Result<Vec<Vec<File>>> {
-        let folder = self.root.join("uploads").join(job);
+        let folder = self.uploads(job);
         let read = |stored: &Stored| {
             let path = folder.join(stored.number.to_string());
             let bytes = fs::read(&path).map_err(|e| disk(&path, &e))?;
@@ -147,83 +172,101 @@ impl Files {
         Ok(models)
     }
 
-    /// Stores a result, with an archive of all of it, and says what there is.
+    /// Makes a result ready: hashes its files and writes an archive of all of them beside the objects.
     ///
     /// # Errors
     /// `internal` with the system's words; then nothing is left.
-    pub fn store(&self, job: &str, attempt: u32, artifacts: &[Artifact]) -> Result<Vec<Entry>> {
-        let folder = self.root.join("artifacts").join(job);
-        let part = folder.join(format!("{attempt}.part"));
-        let done = folder.join(attempt.to_string());
-        let write = || -> io::Result<Vec<Entry>> {
-            for stale in [&part, &done] {
-                remove(stale)?;
+    pub fn pack(&self, job: &str, attempt: u32, artifacts: &[Artifact]) -> Result<Parcel> {
+        let hashed = |a: &Artifact| entry(job, a, a.bytes.len() as u64, hex::encode(Sha256::digest(&a.bytes)));
+        let mut entries: Vec<Entry> = artifacts.iter().map(hashed).collect();
+        if artifacts.iter().any(|a| a.name == ARCHIVE) {
+            return Ok(Parcel { entries, archive: None });
+        }
+        let path = self.incoming(&format!("{job}.{attempt}.zip"));
+        let written = archive(&path, artifacts).and_then(|()| measure(&path));
+        let (bytes, sha256) = written.map_err(|e| {
+            let _ = fs::remove_file(&path);
+            disk(&path, &e)
+        })?;
+        let (name, role, media_type) = (ARCHIVE.into(), "archive".into(), "application/zip".into());
+        entries.push(entry(job, &Artifact { name, role, media_type, bytes: Vec::new() }, bytes, sha256));
+        Ok(Parcel { entries, archive: Some(path) })
+    }
+
+    /// Forgets a result that was made ready.
+    pub fn discard(&self, parcel: &Parcel) {
+        if let Some(path) = &parcel.archive {
+            let _ = fs::remove_file(path);
+        }
+    }
+
+    /// Stores a result whose objects are reserved. When this returns, it survives anything.
+    ///
+    /// # Errors
+    /// `internal` with the system's words.
+    pub fn store(&self, parcel: &Parcel, artifacts: &[Artifact]) -> Result<()> {
+        let put = |entry: &Entry, artifact: Option<&Artifact>| -> io::Result<()> {
+            let object = self.object(&entry.sha256);
+            let folder = object.parent().unwrap_or(&self.root);
+            if fs::metadata(&object).is_ok_and(|m| m.len() == entry.bytes) {
+                return Ok(());
             }
-            fs::create_dir_all(&part)?;
-            let mut entries = Vec::with_capacity(artifacts.len() + 1);
-            for (number, artifact) in artifacts.iter().enumerate() {
-                let mut file = fs::File::create_new(part.join(number.to_string()))?;
-                file.write_all(&artifact.bytes)?;
-                file.sync_all()?;
-                let sha256 = hex::encode(Sha256::digest(&artifact.bytes));
-                entries.push(entry(job, artifact, artifact.bytes.len() as u64, sha256));
+            fs::create_dir_all(folder)?;
+            let young = self.incoming(&format!("{}.object", new_id().map_err(io::Error::other)?));
+            match (artifact, &parcel.archive) {
+                (Some(artifact), _) => {
+                    let mut file = fs::File::create_new(&young)?;
+                    file.write_all(&artifact.bytes)?;
+                    file.sync_all()?;
+                    fs::rename(&young, &object)?;
+                }
+                (None, Some(archive)) => fs::rename(archive, &object)?,
+                (None, None) => return Err(io::ErrorKind::NotFound.into()),
             }
-            if !artifacts.iter().any(|a| a.name == ARCHIVE) {
-                let path = part.join(artifacts.len().to_string());
-                archive(&path, artifacts)?;
-                let (bytes, sha256) = measure(&path)?;
-                let (name, role, media_type) = (ARCHIVE.into(), "archive".into(), "application/zip".into());
-                entries.push(entry(job, &Artifact { name, role, media_type, bytes: Vec::new() }, bytes, sha256));
-            }
-            sync_folder(&part)?;
-            fs::rename(&part, &done)?;
-            sync_folder(&folder)?;
-            sync_folder(&self.root.join("artifacts"))?;
-            Ok(entries)
+            sync_folder(folder)?;
+            sync_folder(&self.root.join("objects"))
         };
-        write().map_err(|e| {
-            self.remove_attempt(job, attempt);
-            disk(&done, &e)
-        })
+        let stored = parcel.entries.iter().enumerate().try_for_each(|(n, entry)| put(entry, artifacts.get(n)));
+        self.discard(parcel);
+        stored.map_err(|e| disk(&self.root.join("objects"), &e))
     }
 
-    /// Where an artifact is.
-    pub fn artifact(&self, job: &str, attempt: u32, number: usize) -> PathBuf {
-        self.root.join("artifacts").join(job).join(attempt.to_string()).join(number.to_string())
+    /// Where an object is.
+    pub fn object(&self, sha256: &str) -> PathBuf {
+        self.root.join("objects").join(sha256.get(..2).unwrap_or("00")).join(sha256)
     }
 
-    /// Removes what an attempt has written.
-    pub fn remove_attempt(&self, job: &str, attempt: u32) {
-        let folder = self.root.join("artifacts").join(job);
-        forget(&folder.join(format!("{attempt}.part")));
-        forget(&folder.join(attempt.to_string()));
+    /// Removes an object.
+    pub fn remove_object(&self, sha256: &str) {
+        let path = self.object(sha256);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                tracing::warn!(path = %path.display(), %error, "could not remove an object");
+            }
+            _ => {}
+        }
+    }
+
+    /// The hashes of all objects.
+    pub fn objects(&self) -> Vec<String> {
+        let folders = fs::read_dir(self.root.join("objects")).into_iter().flatten().flatten();
+        let files = folders.flat_map(|folder| fs::read_dir(folder.path()).into_iter().flatten().flatten());
+        files.filter_map(|file| file.file_name().into_string().ok()).collect()
     }
 
     /// Removes what was uploaded for a job.
     pub fn remove_uploads(&self, job: &str) {
         forget(&self.incoming(job));
-        forget(&self.root.join("uploads").join(job));
+        forget(&self.uploads(job));
     }
 
-    /// Removes the results of a job.
-    pub fn remove_artifacts(&self, job: &str) {
-        forget(&self.root.join("artifacts").join(job));
-    }
-
-    /// Names of the jobs that have files which nobody touched for `age`.
+    /// Names of the jobs that have uploads which nobody touched for `age`.
     pub fn untouched(&self, age: Duration) -> Vec<String> {
-        let mut jobs = Vec::new();
         let before = SystemTime::now().checked_sub(age).unwrap_or(SystemTime::UNIX_EPOCH);
-        for part in ["uploads", "artifacts"] {
-            for entry in fs::read_dir(self.root.join(part)).into_iter().flatten().flatten() {
-                let old = entry.metadata().and_then(|m| m.modified()).is_ok_and(|m| m < before);
-                if old && let Some(name) = entry.file_name().to_str() {
-                    jobs.push(name.trim_end_matches(".part").to_owned());
-                }
-            }
-        }
+        let uploads = fs::read_dir(self.root.join("uploads")).into_iter().flatten().flatten();
+        let old = uploads.filter(|e| e.metadata().and_then(|m| m.modified()).is_ok_and(|m| m < before));
+        let mut jobs: Vec<String> = old.filter_map(|e| e.file_name().into_string().ok()).collect();
         jobs.sort();
-        jobs.dedup();
         jobs
     }
 }
@@ -302,44 +345,56 @@ mod tests {
     }
 
     #[test]
-    fn results_are_stored_by_attempt_with_an_archive_of_the_same_bytes() {
+    fn results_are_stored_by_their_contents_with_an_archive_of_the_same_bytes() {
         let root = tempfile::tempdir().unwrap();
         let files = Files::open(root.path()).unwrap();
-        let artifacts = [artifact("a b/c.txt", b"one"), artifact("b.txt", b"two")];
-        let first = files.store("j", 1, &artifacts).unwrap();
-        let second = files.store("j", 2, &artifacts).unwrap();
-        assert_eq!(first, second);
-        assert_eq!(first[0].href, "/v1/jobs/j/artifacts/a%20b%2Fc.txt");
-        assert_eq!(first[2].name, ARCHIVE);
-        assert_eq!(fs::read(files.artifact("j", 1, 1)).unwrap(), b"two");
-        let archive = fs::File::open(files.artifact("j", 1, 2)).unwrap();
+        let artifacts = [artifact("a b/c.txt", b"one"), artifact("b.txt", b"two"), artifact("c.txt", b"two")];
+        let first = files.pack("j", 1, &artifacts).unwrap();
+        let second = files.pack("j", 2, &artifacts).unwrap();
+        assert_eq!(first.entries, second.entries);
+        for parcel in [&first, &second] {
+            files.store(parcel, &artifacts).unwrap();
+        }
+        let mut objects = files.objects();
+        objects.sort();
+        let mut hashes: Vec<String> = first.entries.iter().map(|e| e.sha256.clone()).collect();
+        hashes.sort();
+        hashes.dedup();
+        assert_eq!((objects.len(), &objects), (3, &hashes));
+        assert_eq!(fs::read_dir(files.incoming("")).unwrap().count(), 0);
+        let entries = first.entries;
+        assert_eq!(entries[0].href, "/v1/jobs/j/artifacts/a%20b%2Fc.txt");
+        assert_eq!(entries[3].name, ARCHIVE);
+        assert_eq!(fs::read(files.object(&entries[1].sha256)).unwrap(), b"two");
+        let archive = fs::File::open(files.object(&entries[3].sha256)).unwrap();
         let mut archive = zip::ZipArchive::new(archive).unwrap();
         let mut text = String::new();
         archive.by_name("b.txt").unwrap().read_to_string(&mut text).unwrap();
         assert_eq!(text, "two");
-        files.remove_attempt("j", 1);
-        assert!(!files.artifact("j", 1, 1).exists() && files.artifact("j", 2, 1).exists());
+        files.remove_object(&entries[1].sha256);
+        assert_eq!(files.objects().len(), 2);
     }
 
     #[test]
-    fn workers_are_gone_when_their_lock_is() {
+    fn workers_are_gone_when_their_lock_is_and_so_is_what_they_left() {
         let root = tempfile::tempdir().unwrap();
-        let files = Files::open(root.path()).unwrap();
-        let lock = files.register_worker("w").unwrap();
-        assert!(!files.worker_is_gone("w") && files.worker_is_gone("other"));
+        let (files, other) = (Files::open(root.path()).unwrap(), Files::open(root.path()).unwrap());
+        let (left, owner) = (other.incoming("j"), other.owner().to_owned());
+        fs::create_dir_all(&left).unwrap();
+        assert!(!files.worker_is_gone(&owner) && files.worker_is_gone("other"));
         files.forget_workers();
-        assert!(files.worker("w").exists());
-        drop(lock);
-        assert!(files.worker_is_gone("w"));
+        assert!(files.worker(&owner).exists() && left.exists());
+        drop(other);
+        assert!(files.worker_is_gone(&owner));
         files.forget_workers();
-        assert!(!files.worker("w").exists());
+        assert!(!files.worker(&owner).exists() && !left.exists() && files.incoming("").exists());
     }
 
     #[test]
     fn uploads_are_whole_or_not_there() {
         let root = tempfile::tempdir().unwrap();
         let files = Files::open(root.path()).unwrap();
-        let stored = |path: &str, number| Stored { path: path.into(), number };
+        let stored = |path: &str, number| Stored { path: path.into(), number, sha256: String::new() };
         let manifest =
             Manifest { models: vec![stored("a.glb", 0), stored("b.glb", 1)], files: vec![stored("t.png", 2)] };
         fs::create_dir_all(files.incoming("j")).unwrap();

@@ -5,7 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
 
+use super::queue::Standing;
 use super::record::State;
 use crate::context::{Listener, Progress};
 use crate::error::Warning;
@@ -20,15 +22,30 @@ pub struct Live {
     pub state: State,
     /// Number of its attempt; 0 before the first.
     pub attempt: u32,
-    /// How far it is.
-    pub progress: Progress,
-    /// The warnings of this attempt.
-    pub warnings: Vec<Warning>,
+    /// Where the attempt stands.
+    pub now: Standing,
 }
 
 struct Entry {
     live: watch::Sender<Live>,
-    cancel: Arc<AtomicBool>,
+    stop: Stop,
+}
+
+/// Says an attempt that it shall stop: to what computes by a flag, to what waits by a token.
+#[derive(Clone, Default)]
+pub struct Stop {
+    /// True when it shall stop.
+    pub flag: Arc<AtomicBool>,
+    /// Cancelled when it shall stop.
+    pub token: CancellationToken,
+}
+
+impl Stop {
+    /// Says it.
+    pub fn now(&self) {
+        self.flag.store(true, Ordering::Relaxed);
+        self.token.cancel();
+    }
 }
 
 /// The jobs of this process that are not final.
@@ -40,8 +57,8 @@ pub struct Hub {
 impl Hub {
     /// Registers a job that waits.
     pub fn queued(&self, job: &str) {
-        let live = Live { state: State::Queued, attempt: 0, progress: Progress::default(), warnings: Vec::new() };
-        let entry = Entry { live: watch::Sender::new(live), cancel: Arc::default() };
+        let live = Live { state: State::Queued, attempt: 0, now: Standing::default() };
+        let entry = Entry { live: watch::Sender::new(live), stop: Stop::default() };
         self.lock().entry(job.to_owned()).or_insert(entry);
     }
 
@@ -49,18 +66,19 @@ impl Hub {
     pub fn started(&self, job: &str, attempt: u32, floor: f64) -> Arc<Reporter> {
         self.queued(job);
         let mut jobs = self.lock();
-        let cancel = Arc::new(AtomicBool::new(false));
+        let stop = Stop::default();
         let progress = Progress { fraction: floor, ..Progress::default() };
-        let live = Live { state: State::Running, attempt, progress, warnings: Vec::new() };
+        let now = Standing { progress, ..Standing::default() };
+        let live = Live { state: State::Running, attempt, now };
         let sender = match jobs.get_mut(job) {
             Some(entry) => {
-                entry.cancel = cancel.clone();
+                entry.stop = stop.clone();
                 entry.live.send_replace(live);
                 entry.live.clone()
             }
             None => watch::Sender::new(live),
         };
-        Arc::new(Reporter { live: sender, cancel, floor })
+        Arc::new(Reporter { live: sender, stop, floor })
     }
 
     /// Registers that a job goes back to the queue.
@@ -81,7 +99,7 @@ impl Hub {
     /// Asks the job to stop, if it runs here.
     pub fn cancel(&self, job: &str) {
         if let Some(entry) = self.lock().get(job) {
-            entry.cancel.store(true, Ordering::Relaxed);
+            entry.stop.now();
         }
     }
 
@@ -98,35 +116,39 @@ impl Hub {
 /// Takes the reports of one attempt.
 pub struct Reporter {
     live: watch::Sender<Live>,
-    /// Becomes true when the attempt shall stop.
-    pub cancel: Arc<AtomicBool>,
+    /// Says that the attempt shall stop.
+    pub stop: Stop,
     floor: f64,
 }
 
 impl Reporter {
     /// Where the attempt stands.
-    pub fn live(&self) -> Live {
-        self.live.borrow().clone()
+    pub fn now(&self) -> Standing {
+        self.live.borrow().now.clone()
     }
 }
 
 impl Listener for Reporter {
     fn progress(&self, progress: &Progress) {
         self.live.send_if_modified(|live| {
-            let old = &live.progress;
+            let old = &live.now.progress;
             let fraction = progress.fraction.max(self.floor).max(old.fraction).min(1.0);
             let moved = fraction - old.fraction >= STEP || (fraction >= 1.0 && old.fraction < 1.0);
             let told = progress.stage != old.stage || progress.message != old.message;
             if !(moved || told) {
                 return false;
             }
-            live.progress = Progress { fraction, ..progress.clone() };
+            let now = Progress { fraction, ..progress.clone() };
+            if now.stage != old.stage && !now.stage.is_empty() {
+                live.now.stages.push(now.clone());
+            }
+            live.now.progress = now;
             true
         });
     }
 
     fn warning(&self, warning: &Warning) {
-        self.live.send_modify(|live| live.warnings.push(warning.clone()));
+        self.live.send_modify(|live| live.now.warnings.push(warning.clone()));
     }
 }
 
@@ -143,11 +165,22 @@ mod tests {
         let at = |fraction: f64| Progress { fraction, ..Progress::default() };
         reporter.progress(&at(0.1));
         assert!(!follower.has_changed().unwrap());
-        assert_eq!(reporter.live().progress.fraction, 0.4);
+        assert_eq!(reporter.now().progress.fraction, 0.4);
         reporter.progress(&at(0.5));
         assert!(follower.has_changed().unwrap());
         reporter.progress(&at(0.45));
-        assert_eq!(follower.borrow_and_update().progress.fraction, 0.5);
+        assert_eq!(follower.borrow_and_update().now.progress.fraction, 0.5);
+    }
+
+    #[test]
+    fn every_stage_is_kept_however_short_it_is() {
+        let hub = Hub::default();
+        let reporter = hub.started("j", 1, 0.0);
+        for stage in ["read", "pack", "pack", "write"] {
+            reporter.progress(&Progress { stage: stage.into(), ..Progress::default() });
+        }
+        let stages: Vec<String> = reporter.now().stages.into_iter().map(|s| s.stage).collect();
+        assert_eq!(stages, ["read", "pack", "write"]);
     }
 
     #[test]
@@ -157,7 +190,7 @@ mod tests {
         let reporter = hub.started("j", 1, 0.0);
         let mut follower = hub.follow("j").unwrap();
         hub.cancel("j");
-        assert!(reporter.cancel.load(Ordering::Relaxed));
+        assert!(reporter.stop.flag.load(Ordering::Relaxed) && reporter.stop.token.is_cancelled());
         hub.ended("j", State::Canceled);
         assert_eq!(follower.borrow_and_update().state, State::Canceled);
         assert!(hub.follow("j").is_none());

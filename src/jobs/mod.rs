@@ -7,30 +7,37 @@ pub mod files;
 pub mod hub;
 pub mod queue;
 pub mod record;
-mod rows;
+pub mod slots;
 mod upkeep;
 mod worker;
 
-use std::fs::File;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use serde_json::Value;
 use tokio::sync::Notify;
+use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use crate::config::Limits;
+use crate::config::{Limits, Work};
 use crate::error::{Code, Failure, Result};
 use crate::refine::options::Options;
-use files::{Files, Manifest};
+use crate::telemetry::Telemetry;
+use files::Files;
 use hub::Hub;
-use queue::{Canceled, Queue};
+use queue::sqlite::Sqlite;
+use queue::{Canceled, NewJob, Queue, Submitted};
 use record::{Entry, Job, State};
+use slots::Slots;
+
+/// How often a job that this process does not run is looked at.
+const LOOK: Duration = Duration::from_millis(500);
 
 /// The jobs of a service.
 pub struct Jobs {
     /// The durable queue.
-    pub queue: Queue,
+    pub queue: Box<dyn Queue>,
     /// The data folder.
     pub files: Files,
     /// What is known between two writes.
@@ -39,64 +46,73 @@ pub struct Jobs {
     pub limits: Limits,
     /// Ends workers and streams.
     pub shutdown: CancellationToken,
-    owner: String,
+    /// Room for running jobs.
+    pub slots: Arc<Slots>,
+    /// What is counted.
+    pub telemetry: Telemetry,
+    lease: Duration,
+    grace: Duration,
     wake: Notify,
-    pool: rayon::ThreadPool,
-    /// Locked as long as this process lives, so that others can see when it is gone.
-    _lock: File,
 }
 
 impl Jobs {
-    /// Opens the data folder and takes back what a dead process left running.
+    /// Opens the data folder and takes back what dead processes left running.
     ///
     /// # Errors
     /// `internal`: the disk, or threads that cannot be had.
-    pub async fn open(data: &Path, threads: usize, limits: Limits) -> Result<Arc<Self>> {
+    pub async fn open(data: &Path, work: &Work, limits: Limits) -> Result<Arc<Self>> {
         let files = Files::open(data)?;
-        let queue = Queue::open(&files.queue()).await?;
-        let owner = record::new_id()?;
-        let lock = files.register_worker(&owner)?;
+        let queue = Sqlite::open(&files.queue()).await?;
         let jobs = Jobs {
-            queue,
+            queue: Box::new(queue),
             files,
             hub: Hub::default(),
             limits,
             shutdown: CancellationToken::new(),
-            owner,
+            slots: Slots::new(usize::from(work.jobs), work.threads, work.memory())?,
+            telemetry: Telemetry::new()?,
+            lease: work.lease,
+            grace: work.grace,
             wake: Notify::new(),
-            pool: pool(threads)?,
-            _lock: lock,
         };
         jobs.recover().await?;
+        jobs.files.forget_workers();
+        jobs.collect(None, true).await?;
         Ok(Arc::new(jobs))
     }
 
-    /// Threads that compute.
-    pub fn threads(&self) -> usize {
-        self.pool.current_num_threads()
-    }
-
-    /// Takes a job whose upload is complete in [`Files::incoming`]. When this returns, it survives anything.
+    /// Takes a job whose upload is complete in [`Files::incoming`]. When this returns, it survives anything. A job whose key is known
+    /// is not stored again: the one of the key is given, and true.
     ///
     /// # Errors
-    /// `queue_full`, `internal`; then the upload is removed.
-    pub async fn submit(&self, id: &str, options: &Options, manifest: &Manifest) -> Result<Job> {
+    /// `queue_full`, `idempotency_mismatch`, `internal`; then the upload is removed.
+    pub async fn submit(&self, job: &NewJob) -> Result<(Job, bool)> {
+        let id = &job.id;
         let stored = async {
-            let options = serde_json::to_value(options).map_err(|e| Failure::internal(e.to_string()))?;
-            let (files, job) = (self.files.clone(), id.to_owned());
-            let accepted = tokio::task::spawn_blocking(move || files.accept(&job)).await;
+            let (files, id) = (self.files.clone(), id.clone());
+            let accepted = tokio::task::spawn_blocking(move || files.accept(&id)).await;
             accepted.map_err(|e| Failure::internal(format!("the upload was lost: {e}")))??;
             // Known before a worker can claim it, so that nobody who follows it misses its start.
-            self.hub.queued(id);
-            self.queue.submit(id, &options, manifest, self.limits.max_queued).await
+            self.hub.queued(&job.id);
+            self.queue.submit(job, self.limits.max_queued).await
         };
-        if let Err(failure) = stored.await {
-            self.hub.ended(id, State::Canceled);
-            self.files.remove_uploads(id);
-            return Err(failure);
+        match stored.await {
+            Ok(Submitted::New) => {
+                tracing::info!(job = %id, request = job.request, memory = job.memory, "job is queued");
+                self.wake.notify_one();
+                Ok((self.get(id).await?, false))
+            }
+            Ok(Submitted::Known(known)) => {
+                self.hub.ended(id, State::Canceled);
+                self.files.remove_uploads(id);
+                Ok((self.get(&known).await?, true))
+            }
+            Err(failure) => {
+                self.hub.ended(id, State::Canceled);
+                self.files.remove_uploads(id);
+                Err(failure)
+            }
         }
-        self.wake.notify_one();
-        self.get(id).await
     }
 
     /// A job, as of now.
@@ -109,10 +125,49 @@ impl Jobs {
             && let Some(live) = self.hub.follow(id).map(|f| f.borrow().clone())
             && live.attempt == job.attempt
         {
-            job.progress = live.progress;
-            job.warnings = live.warnings;
+            job.progress = live.now.progress;
+            job.stages = live.now.stages;
+            job.warnings = live.now.warnings;
         }
         Ok(job)
+    }
+
+    /// A job when it is final, or after `limit`.
+    ///
+    /// # Errors
+    /// `not_found`, `internal`.
+    pub async fn settled(&self, id: &str, limit: Duration) -> Result<Job> {
+        let until = Instant::now() + limit;
+        loop {
+            // The listener first, the job second: what happens in between is then not missed.
+            let live = self.hub.follow(id);
+            let job = self.get(id).await?;
+            if job.state.is_final() || Instant::now() >= until || self.shutdown.is_cancelled() {
+                return Ok(job);
+            }
+            let ends = async {
+                match live {
+                    Some(mut live) => live.wait_for(|live| live.state.is_final()).await.map_or((), |_| ()),
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                () = ends => {}
+                // Another process may run it.
+                () = sleep(LOOK) => {}
+                () = sleep_until(until) => {}
+                () = self.shutdown.cancelled() => {}
+            }
+        }
+    }
+
+    /// Number of jobs that wait.
+    ///
+    /// # Errors
+    /// `internal`.
+    pub async fn waiting(&self) -> Result<u64> {
+        let counts = self.queue.counts().await?;
+        Ok(counts.iter().find(|c| c.0 == State::Queued).map_or(0, |c| c.1))
     }
 
     /// Cancels a job: at once when it waits, as soon as it listens when it runs.
@@ -143,8 +198,7 @@ impl Jobs {
         self.hub.cancel(id);
         self.hub.ended(id, State::Canceled);
         self.files.remove_uploads(id);
-        self.files.remove_artifacts(id);
-        Ok(())
+        self.collect(Some(id), false).await
     }
 
     /// An artifact and where its file is.
@@ -152,28 +206,15 @@ impl Jobs {
     /// # Errors
     /// `not_found`, `gone`, `internal`.
     pub async fn artifact(&self, id: &str, name: &str) -> Result<(Entry, std::path::PathBuf)> {
-        let (attempt, entries, removed) = self.queue.result(id).await?.ok_or_else(|| unknown(id))?;
-        let number = entries.iter().position(|e| e.name == name);
-        let found = number.and_then(|n| Some((entries.get(n)?.clone(), self.files.artifact(id, attempt, n))));
+        let job = self.queue.get(id).await?.ok_or_else(|| unknown(id))?;
+        let removed = job.artifacts_expire_at.is_some_and(|at| at <= record::Moment::now());
+        let found = job.artifacts.into_iter().find(|e| e.name == name).map(|e| (self.files.object(&e.sha256), e));
         match found {
             None => Err(Failure::new(Code::NotFound, format!("the job has no artifact `{name}`"))),
             Some(_) if removed => Err(Failure::new(Code::Gone, "the artifacts of this job have been removed")),
-            Some(found) => Ok(found),
+            Some((path, entry)) => Ok((entry, path)),
         }
     }
-}
-
-/// The pool that computes; 0 threads means one for each core.
-///
-/// # Errors
-/// `internal` when the system has no threads to give.
-pub fn pool(threads: usize) -> Result<rayon::ThreadPool> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .thread_name(|i| format!("compute-{i}"))
-        .stack_size(8 << 20)
-        .build()
-        .map_err(|e| Failure::internal(format!("no threads: {e}")))
 }
 
 /// The options of a job as its row holds them.

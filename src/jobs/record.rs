@@ -118,6 +118,9 @@ pub struct Job {
     pub finished_at: Option<Moment>,
     /// When its artifacts are removed.
     pub artifacts_expire_at: Option<Moment>,
+    /// The stages that the attempt has entered, each with the progress at that moment.
+    #[serde(skip)]
+    pub stages: Vec<Progress>,
     /// Seconds by stage.
     pub timings: Vec<Timing>,
     /// What its user should know.

@@ -2,54 +2,72 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use tokio::runtime::Handle;
 use tokio::sync::oneshot;
-use tokio::time::{MissedTickBehavior, interval, sleep};
+use tokio::task::JoinSet;
+use tokio::time::{MissedTickBehavior, interval, sleep, sleep_until};
+use tracing::Instrument;
 
 use super::Jobs;
 use super::files::Manifest;
 use super::hub::Reporter;
-use super::queue::{Beat, Claim, End};
+use super::queue::{Beat, Claim, End, canceled};
 use super::record::{Entry, JobError, Missed, State};
+use super::slots::Slot;
 use crate::context::{Context, Timing};
 use crate::error::{Code, Failure, Result, Warning};
 use crate::refine::options::Options;
 use crate::refine::run::{self, Input};
 
-/// How long a silent worker is believed to be alive.
-const LEASE: Duration = Duration::from_secs(30);
-/// How often the lease is renewed and progress is stored.
-const BEAT: Duration = Duration::from_secs(2);
+/// The lease is renewed, and progress stored, so many times while it lasts.
+const BEATS: u32 = 15;
 /// How often the queue is looked at without being woken: other processes may fill it.
 const POLL: Duration = Duration::from_secs(1);
 /// How often upkeep is done.
 const TIDY: Duration = Duration::from_secs(15);
 /// Every so many rounds of upkeep, files that belong to no job are looked for.
 const SWEEP: u32 = 240;
+/// Work that was told to stop and has not by then is left to itself: its result will not count.
+const LATE: Duration = Duration::from_millis(700);
 
 /// What came of an attempt.
 struct Computed {
     result: Result<(Vec<Entry>, Vec<Missed>)>,
-    warnings: Vec<Warning>,
+    /// All of them; none where only those are known that were told on the way.
+    warnings: Option<Vec<Warning>>,
     timings: Vec<Timing>,
 }
 
 impl Jobs {
-    /// Runs jobs, one at a time (each takes all threads), until the service shuts down.
+    /// Runs jobs, as many at once as there is room for, until the service shuts down and they have ended.
     pub async fn work(self: Arc<Self>) {
+        let mut running = JoinSet::new();
         while !self.shutdown.is_cancelled() {
-            match self.queue.claim(&self.owner, LEASE).await {
-                Ok(Some(claim)) => self.run(claim).await,
+            let claimed = match self.slots.room() {
+                Some(room) => self.queue.claim(self.files.owner(), self.lease, room).await,
+                None => Ok(None),
+            };
+            match claimed {
+                Ok(Some(claim)) => {
+                    // There is room: nobody else takes any.
+                    let Some(slot) = self.slots.take(claim.memory) else { continue };
+                    let span =
+                        tracing::info_span!("job", id = %claim.id, attempt = claim.attempt, request = claim.request);
+                    running.spawn(self.clone().run(claim, slot).instrument(span));
+                }
                 Ok(None) => tokio::select! {
                     () = self.wake.notified() => {}
+                    () = self.slots.freed.notified() => {}
                     () = sleep(POLL) => {}
                     () = self.shutdown.cancelled() => {}
                 },
                 Err(_) => sleep(POLL).await,
             }
+            while running.try_join_next().is_some() {}
         }
+        running.join_all().await;
     }
 
     /// Does upkeep until the service shuts down.
@@ -68,45 +86,55 @@ impl Jobs {
         }
     }
 
-    async fn run(self: &Arc<Self>, claim: Claim) {
-        tracing::info!(job = %claim.id, attempt = claim.attempt, "job starts");
+    async fn run(self: Arc<Self>, claim: Claim, slot: Slot) {
+        tracing::info!("job starts");
+        let started = Instant::now();
         let reporter = self.hub.started(&claim.id, claim.attempt, claim.floor);
         let (done, mut result) = oneshot::channel();
         {
             let (jobs, claim, reporter) = (self.clone(), claim.clone(), reporter.clone());
-            self.pool.spawn(move || drop(done.send(compute(&jobs, &claim, reporter))));
+            let (runtime, span) = (Handle::current(), tracing::Span::current());
+            slot.spawn(move || drop(done.send(span.in_scope(|| compute(&jobs, &claim, reporter, &runtime)))));
         }
-        let mut ticks = interval(BEAT);
+        let mut ticks = interval(self.lease / BEATS);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut stopping = false;
+        // When it is told to stop because the service does, and when it is waited for no longer because its user wants it to.
+        let (mut hand_back, mut late) = (None, None);
         let computed = loop {
+            let at = |moment: Option<tokio::time::Instant>| async move {
+                match moment {
+                    Some(moment) => sleep_until(moment).await,
+                    None => std::future::pending().await,
+                }
+            };
             tokio::select! {
-                computed = &mut result => break computed,
+                computed = &mut result => break computed.unwrap_or_else(|_| Computed::failed(Failure::internal("the computation was lost"))),
                 _ = ticks.tick() => {
-                    let live = reporter.live();
                     // A queue that fails for a moment is no reason to stop: the fence protects the result.
-                    if let Ok(Beat::Cancel | Beat::Lost) = self.queue.beat(&claim, LEASE, &live.progress, &live.warnings).await {
-                        reporter.cancel.store(true, Ordering::Relaxed);
+                    if let Ok(Beat::Cancel | Beat::Lost) = self.queue.beat(&claim, self.lease, &reporter.now()).await {
+                        reporter.stop.now();
                     }
                 }
-                () = self.shutdown.cancelled(), if !stopping => {
-                    stopping = true;
-                    reporter.cancel.store(true, Ordering::Relaxed);
+                () = reporter.stop.token.cancelled(), if late.is_none() && hand_back.is_none() => {
+                    late = Some(tokio::time::Instant::now() + LATE);
                 }
+                () = at(late) => {
+                    tracing::warn!("the computation did not stop in time; it is left to itself");
+                    break Computed::failed(Failure::new(Code::Canceled, "the job was cancelled"));
+                }
+                () = self.shutdown.cancelled(), if hand_back.is_none() => {
+                    hand_back = Some(tokio::time::Instant::now() + self.grace);
+                }
+                () = at(hand_back), if !reporter.stop.token.is_cancelled() => reporter.stop.now(),
             }
         };
-        let computed = computed.unwrap_or_else(|_| Computed {
-            result: Err(Failure::internal("the computation was lost")),
-            warnings: Vec::new(),
-            timings: Vec::new(),
-        });
-        self.publish(&claim, &reporter, computed, stopping).await;
+        self.publish(&claim, &reporter, computed, hand_back.is_some(), started).await;
     }
 
-    async fn publish(&self, claim: &Claim, reporter: &Reporter, computed: Computed, stopping: bool) {
+    async fn publish(&self, claim: &Claim, reporter: &Reporter, computed: Computed, stopping: bool, started: Instant) {
         let stopped = matches!(&computed.result, Err(f) if f.code == Code::Canceled);
-        if stopping && stopped && self.queue.release(claim, &reporter.live().progress).await == Ok(true) {
-            tracing::info!(job = %claim.id, "job goes back to the queue");
+        if stopping && stopped && self.queue.release(claim, &reporter.now().progress).await == Ok(true) {
+            tracing::info!("job goes back to the queue");
             self.hub.requeued(&claim.id);
             return;
         }
@@ -114,23 +142,25 @@ impl Jobs {
         let mut published = self.finish(claim, &end).await;
         if !published && end.state != State::Canceled {
             // The user may have cancelled while the result was being stored: the wish counts.
-            let canceled = JobError::from(Failure::new(Code::Canceled, "the job was cancelled"));
-            end = End { state: State::Canceled, error: Some(canceled), artifacts: Vec::new(), ..end };
+            end = End { state: State::Canceled, error: Some(canceled()), artifacts: Vec::new(), ..end };
             published = self.finish(claim, &end).await;
         }
-        if end.artifacts.is_empty() || !published {
-            self.files.remove_attempt(&claim.id, claim.attempt);
-        }
         if published {
-            tracing::info!(job = %claim.id, state = end.state.as_str(), "job ends");
+            let code = end.error.as_ref().map_or("", |e| e.code.as_str());
+            tracing::info!(state = end.state.as_str(), code, seconds = started.elapsed().as_secs_f64(), "job ends");
+            self.telemetry.ended(&end, started.elapsed());
             self.hub.ended(&claim.id, end.state);
             self.files.remove_uploads(&claim.id);
         } else {
-            tracing::warn!(job = %claim.id, attempt = claim.attempt, "the job was taken from this worker");
-            if matches!(self.queue.knows(&claim.id).await, Ok(false)) {
-                self.files.remove_artifacts(&claim.id);
+            tracing::warn!("the job was taken from this worker; its result does not count");
+            if matches!(self.queue.get(&claim.id).await, Ok(None)) {
                 self.files.remove_uploads(&claim.id);
             }
+        }
+        if (end.artifacts.is_empty() || !published)
+            && let Err(failure) = self.collect(Some(&claim.id), false).await
+        {
+            tracing::error!(%failure, "files of the attempt are left for upkeep");
         }
     }
 
@@ -146,10 +176,17 @@ impl Jobs {
     }
 }
 
+impl Computed {
+    fn failed(failure: Failure) -> Self {
+        Computed { result: Err(failure), warnings: None, timings: Vec::new() }
+    }
+}
+
 fn ended(reporter: &Reporter, computed: Computed) -> End {
     let Computed { result, warnings, timings } = computed;
-    let progress = reporter.live().progress;
-    let end = |state, error, artifacts| End { state, error, artifacts, progress, timings, warnings };
+    let mut standing = reporter.now();
+    standing.warnings = warnings.unwrap_or(standing.warnings);
+    let end = |state, error, artifacts| End { state, error, artifacts, standing, timings };
     match result {
         Ok((artifacts, failures)) if failures.is_empty() => end(State::Succeeded, None, artifacts),
         Ok((artifacts, failures)) => {
@@ -164,16 +201,16 @@ fn ended(reporter: &Reporter, computed: Computed) -> End {
 }
 
 /// The synchronous part, on the rayon pool.
-fn compute(jobs: &Jobs, claim: &Claim, reporter: Arc<Reporter>) -> Computed {
-    let cancel = reporter.cancel.clone();
+fn compute(jobs: &Jobs, claim: &Claim, reporter: Arc<Reporter>, runtime: &Handle) -> Computed {
+    let stop = reporter.stop.flag.clone();
     let options = match super::stored_options(&claim.options) {
         Ok(options) => options,
-        Err(failure) => return Computed { result: Err(failure), warnings: Vec::new(), timings: Vec::new() },
+        Err(failure) => return Computed::failed(failure),
     };
     let limit = options.time_limit_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
-    let context = Context::new(reporter, cancel, options.seed).with_time_limit(limit);
-    let result = guarded(&claim.id, || steps(jobs, claim, &claim.inputs, &options, &context));
-    Computed { result, warnings: context.warnings(), timings: context.timings() }
+    let context = Context::new(reporter, stop, options.seed).with_time_limit(limit);
+    let result = guarded(&claim.id, || steps(jobs, claim, &claim.inputs, &options, &context, runtime));
+    Computed { result, warnings: Some(context.warnings()), timings: context.timings() }
 }
 
 /// A panic is a failure of this job and of nothing else.
@@ -190,12 +227,23 @@ fn steps(
     manifest: &Manifest,
     options: &Options,
     context: &Context,
+    runtime: &Handle,
 ) -> Result<(Vec<Entry>, Vec<Missed>)> {
     let input = Input { models: jobs.files.load(&claim.id, manifest)?, limits: jobs.limits.asset(), extras: true };
     let outcome = run::refine(&input, options, context)?;
     drop(input);
     context.check()?;
-    let entries = jobs.files.store(&claim.id, claim.attempt, &outcome.artifacts)?;
+    let parcel = jobs.files.pack(&claim.id, claim.attempt, &outcome.artifacts)?;
+    let objects: Vec<String> = parcel.entries.iter().map(|e| e.sha256.clone()).collect();
+    match runtime.block_on(jobs.queue.reserve(claim, &objects)) {
+        Ok(true) => jobs.files.store(&parcel, &outcome.artifacts)?,
+        other => {
+            jobs.files.discard(&parcel);
+            other?;
+            return Err(Failure::new(Code::Canceled, "the job was taken from this worker"));
+        }
+    }
+    let entries = parcel.entries;
     let missed = outcome.failures.into_iter().map(|f| Missed { path: f.path, wanted: f.wanted, got: f.got });
     Ok((entries, missed.collect()))
 }
@@ -215,7 +263,7 @@ mod tests {
     fn a_job_that_misses_its_requirement_fails_with_its_artifacts() {
         let reporter = crate::jobs::hub::Hub::default().started("j", 1, 0.0);
         let missed = Missed { path: "atlas.charts".into(), wanted: "max 1".into(), got: Some(2.0) };
-        let end_of = |result| ended(&reporter, Computed { result, warnings: Vec::new(), timings: Vec::new() });
+        let end_of = |result| ended(&reporter, Computed { result, warnings: None, timings: Vec::new() });
         let end = end_of(Ok((Vec::new(), vec![missed.clone()])));
         assert_eq!(end.state, State::Failed);
         let error = end.error.unwrap();

@@ -5,12 +5,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
-use crate::server::{Form, Server, bytes, glb, header, json, sample};
-
-fn artifact<'a>(job: &'a Value, name: &str) -> &'a Value {
-    let all = job["artifacts"].as_array().unwrap();
-    all.iter().find(|a| a["name"] == name).unwrap_or_else(|| panic!("no artifact {name} in {all:#?}"))
-}
+use crate::server::{Form, Server, artifact, bytes, glb, header, json, left, sample};
 
 #[test]
 fn a_model_goes_in_and_comes_out() {
@@ -154,30 +149,6 @@ fn a_requirement_that_is_not_met_keeps_the_artifacts() {
 }
 
 #[test]
-fn events_start_with_the_snapshot_and_end_with_the_final_state() {
-    let data = tempfile::tempdir().unwrap();
-    let server = Server::start(data.path(), &[]);
-    let path = server.accepted(&Form::sample());
-    let read = |headers: &[(&str, &str)]| {
-        let mut response = server.get(&format!("{path}/events"), headers);
-        assert_eq!(header(&response, "content-type"), "text/event-stream");
-        String::from_utf8(bytes(&mut response)).unwrap()
-    };
-    let names = |text: &str| -> Vec<String> {
-        text.lines().filter_map(|l| l.strip_prefix("event: ")).map(str::to_owned).collect()
-    };
-    let text = read(&[]);
-    let told = names(&text);
-    assert_eq!(told[0], "snapshot", "{text}");
-    let last = text.lines().rfind(|l| l.starts_with("data: ")).unwrap();
-    let job: Value = serde_json::from_str(&last["data: ".len()..]).unwrap();
-    assert_eq!(job["state"], "succeeded", "{text}");
-    assert!(text.lines().filter(|l| l.starts_with("id: ")).count() == told.len(), "every event has an id");
-    // Who comes later is told the end at once.
-    assert_eq!(names(&read(&[("last-event-id", "1.0")]))[0], "snapshot");
-}
-
-#[test]
 fn ended_jobs_cannot_be_cancelled_and_deleted_jobs_are_gone() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);
@@ -193,9 +164,7 @@ fn ended_jobs_cannot_be_cancelled_and_deleted_jobs_are_gone() {
     }
     assert_eq!(server.delete(&path).status(), 404);
     assert_eq!(server.post(&format!("{path}/cancel"), "application/json", b"").status(), 404);
-    let left = std::fs::read_dir(data.path().join("artifacts")).unwrap().count();
-    let left = left + std::fs::read_dir(data.path().join("uploads")).unwrap().count();
-    assert_eq!(left, 0, "no file of a deleted job stays");
+    assert_eq!(left(data.path()), [] as [String; 0], "no file of a deleted job stays");
 }
 
 #[test]
@@ -224,19 +193,4 @@ fn expired_artifacts_are_gone_and_the_job_stays() {
     let mut response = server.get(artifact(&job, "model.glb")["href"].as_str().unwrap(), &[]);
     assert_eq!((response.status().as_u16(), &json(&mut response)["code"]), (410, &json!("gone")));
     assert_eq!(server.get(&path, &[]).status(), 200);
-}
-
-#[test]
-fn jobs_survive_the_death_of_the_process() {
-    let data = tempfile::tempdir().unwrap();
-    let server = Server::start(data.path(), &[]);
-    let paths: Vec<String> = (0..4).map(|_| server.accepted(&Form::sample())).collect();
-    server.kill();
-    let server = Server::start(data.path(), &[]);
-    for path in paths {
-        let job = server.wait(&path);
-        assert_eq!(job["state"], "succeeded", "{job:#}");
-        let href = artifact(&job, "model.glb")["href"].as_str().unwrap();
-        assert_eq!(server.get(href, &[]).status(), 200);
-    }
 }

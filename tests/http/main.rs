@@ -1,6 +1,9 @@
 //! What the service promises, over real HTTP against the running program.
 
 mod errors;
+mod events;
 mod jobs;
 mod server;
 mod service;
+mod survival;
+mod waiting;

@@ -1,7 +1,7 @@
 //! A server of one test: the program itself, on a free port, with a data folder of its own.
 
 use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -13,29 +13,51 @@ pub struct Server {
     child: Child,
     agent: Agent,
     pub base: String,
+    log: Option<PathBuf>,
 }
 
 impl Server {
     /// Starts a server over `data`.
     pub fn start(data: &Path, flags: &[&str]) -> Server {
+        Server::spawn(data, &[flags, &["--log-level", "warn"]].concat(), Stdio::inherit())
+    }
+
+    /// Starts a server whose log is kept beside `data`, for [`Server::log`].
+    pub fn start_with_log(data: &Path, flags: &[&str]) -> Server {
+        let path = data.join("log");
+        let log = std::fs::File::create(&path).unwrap();
+        let mut server = Server::spawn(data, flags, log.into());
+        server.log = Some(path);
+        server
+    }
+
+    fn spawn(data: &Path, flags: &[&str], log: Stdio) -> Server {
         let mut child = Command::new(env!("CARGO_BIN_EXE_intarsia"))
-            .args(["serve", "--listen", "127.0.0.1:0", "--threads", "2", "--log-level", "warn", "--data-dir"])
+            .args(["serve", "--listen", "127.0.0.1:0", "--threads", "2", "--data-dir"])
             .arg(data)
             .args(flags)
             .stdout(Stdio::piped())
+            .stderr(log)
             .spawn()
             .unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let base = line.trim().strip_prefix("listening on ").expect("the server tells its address").to_owned();
         let config = Agent::config_builder().http_status_as_error(false).timeout_global(Some(Duration::from_secs(60)));
-        Server { child, agent: config.build().new_agent(), base }
+        Server { child, agent: config.build().new_agent(), base, log: None }
     }
 
     /// GET with headers.
     pub fn get(&self, path: &str, headers: &[(&str, &str)]) -> Response<Body> {
         let request = self.agent.get(format!("{}{path}", self.base));
         headers.iter().fold(request, |r, (k, v)| r.header(*k, *v)).call().unwrap()
+    }
+
+    /// POST of a form with headers.
+    pub fn submit_with(&self, form: &Form, headers: &[(&str, &str)]) -> Response<Body> {
+        let (media_type, body) = form.encoded();
+        let request = self.agent.post(format!("{}/v1/jobs", self.base)).content_type(media_type);
+        headers.iter().fold(request, |r, (k, v)| r.header(*k, *v)).send(&body[..]).unwrap()
     }
 
     /// POST of a body.
@@ -63,6 +85,11 @@ impl Server {
 
     /// Follows a job to its end. Its progress never falls on the way.
     pub fn wait(&self, path: &str) -> Value {
+        self.until(path, |job| !["queued", "running"].contains(&job["state"].as_str().unwrap()))
+    }
+
+    /// Follows a job until it is as wanted. Its progress never falls on the way.
+    pub fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         let started = Instant::now();
         let mut last = 0.0;
         loop {
@@ -71,7 +98,7 @@ impl Server {
             let fraction = job["progress"]["fraction"].as_f64().unwrap_or_else(|| panic!("no progress in {job}"));
             assert!(fraction >= last, "progress fell from {last} to {fraction}");
             last = fraction;
-            if !["queued", "running"].contains(&job["state"].as_str().unwrap()) {
+            if wanted(&job) {
                 return job;
             }
             assert_eq!(header(&response, "retry-after"), "1");
@@ -86,6 +113,32 @@ impl Server {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
         let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).unwrap();
         line.trim().trim_end_matches(" kB").parse::<u64>().unwrap() * 1024
+    }
+
+    /// The lines of the log so far.
+    pub fn log(&self) -> Vec<Value> {
+        let text = std::fs::read_to_string(self.log.as_ref().unwrap()).unwrap();
+        text.lines().map(|l| serde_json::from_str(l).unwrap()).collect()
+    }
+
+    /// Sends the process a signal.
+    #[cfg(unix)]
+    pub fn signal(&self, name: &str) {
+        let status = Command::new("kill").args([name, &self.child.id().to_string()]).status().unwrap();
+        assert!(status.success());
+    }
+
+    /// Waits until the process has ended by itself, in time and without a complaint.
+    pub fn ended(mut self, limit: Duration) {
+        let started = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                assert!(status.success(), "{status}");
+                return;
+            }
+            assert!(started.elapsed() < limit, "the service does not stop");
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 
     /// Ends the process at once, as a loss of power would.
@@ -164,4 +217,28 @@ pub fn json(response: &mut Response<Body>) -> Value {
 pub fn header<'a>(response: &'a Response<Body>, name: &str) -> &'a str {
     let value = response.headers().get(name).unwrap_or_else(|| panic!("no header {name} in {:?}", response.headers()));
     value.to_str().unwrap()
+}
+
+/// An artifact of a job.
+pub fn artifact<'a>(job: &'a Value, name: &str) -> &'a Value {
+    let all = job["artifacts"].as_array().unwrap();
+    all.iter().find(|a| a["name"] == name).unwrap_or_else(|| panic!("no artifact {name} in {all:#?}"))
+}
+
+/// The files of jobs in a data folder: uploads, and objects by their hashes.
+pub fn left(data: &Path) -> Vec<String> {
+    let mut files = Vec::new();
+    let mut folders: Vec<_> = ["incoming", "uploads", "objects"].map(|f| data.join(f)).into();
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                files.push(path.file_name().unwrap().to_str().unwrap().to_owned());
+            }
+        }
+    }
+    files.sort();
+    files
 }

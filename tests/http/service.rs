@@ -19,6 +19,39 @@ fn it_tells_its_health_its_contract_and_its_limits() {
 }
 
 #[test]
+fn it_counts_what_it_does_and_compresses_what_it_says() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    server.wait(&server.accepted(&Form::sample()));
+    server.get("/v1/jobs/none", &[]);
+    let text = String::from_utf8(bytes(&mut server.get("/metrics", &[]))).unwrap();
+    for line in [
+        "intarsia_jobs{state=\"succeeded\"} 1",
+        "intarsia_jobs{state=\"queued\"} 0",
+        "intarsia_jobs_ended_total{code=\"\",state=\"succeeded\"} 1",
+        "intarsia_stage_seconds_count{stage=\"bake\"} 1",
+        "intarsia_http_requests_total{method=\"GET\",route=\"/v1/jobs/{id}\",status=\"404\"} 1",
+        "intarsia_jobs_running 0",
+    ] {
+        assert!(text.lines().any(|l| l == line), "{line} is not in\n{text}");
+    }
+    let small = server.get("/openapi.json", &[("accept-encoding", "gzip")]);
+    assert_eq!(header(&small, "content-encoding"), "gzip");
+}
+
+#[test]
+fn what_a_job_does_is_logged_with_its_request() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start_with_log(data.path(), &["--log-level", "info", "--log-format", "json"]);
+    let response = server.submit_with(&Form::sample(), &[("x-request-id", "build-17/step-2")]);
+    assert_eq!(header(&response, "x-request-id"), "build-17/step-2");
+    let job = server.wait(header(&response, "location"));
+    let log = server.log();
+    let end = log.iter().find(|l| l["fields"]["message"] == "job ends").unwrap_or_else(|| panic!("{log:#?}"));
+    assert_eq!((&end["span"]["id"], &end["span"]["request"]), (&job["id"], &json!("build-17/step-2")));
+}
+
+#[test]
 fn jobs_are_listed_only_on_demand() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &["--list-jobs"]);

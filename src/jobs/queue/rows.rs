@@ -5,9 +5,9 @@ use serde_json::Value;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::record::{Job, Moment, State};
 use crate::context::Progress;
 use crate::error::{Failure, Result};
+use crate::jobs::record::{Job, Moment, State};
 
 /// A value as a column holds it.
 pub(super) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
@@ -44,9 +44,16 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
         started_at: moment("started_at")?,
         finished_at: moment("finished_at")?,
         artifacts_expire_at: moment("artifacts_expire_at")?,
+        stages: parsed(row, "stages")?,
         timings: parsed(row, "timings")?,
         warnings: parsed(row, "warnings")?,
         error: error.and_then(|text| serde_json::from_str(&text).ok()),
         artifacts: parsed(row, "artifacts")?,
     })
+}
+
+/// Jobs with their states.
+pub(super) fn states(rows: &[SqliteRow]) -> Result<Vec<(String, State)>> {
+    let state = |name: String| State::from_name(&name).ok_or_else(|| Failure::internal("a broken state"));
+    rows.iter().map(|row| Ok((row.try_get(0)?, state(row.try_get(1)?)?))).collect()
 }

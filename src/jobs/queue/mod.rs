@@ -1,0 +1,223 @@
+//! The durable queue behind one trait: what a backend must do, whatever it is made of.
+//!
+//! A claim is one step. Each claim gets a new attempt number, and whatever a worker writes afterwards names that number (a fencing
+//! token): a worker that lost its job can change nothing. A lease says how long a silent worker is believed to be alive. All backends
+//! pass one suite ([`conformance`]).
+
+#[cfg(test)]
+pub(super) mod conformance;
+mod rows;
+pub mod sqlite;
+
+use std::time::Duration;
+
+use async_trait::async_trait;
+use serde_json::Value;
+
+use super::files::Manifest;
+use super::record::{Entry, Job, JobError, Moment, State};
+use crate::context::{Progress, Timing};
+use crate::error::{Code, Failure, Result, Warning};
+
+/// Attempts that may die before a job is given up: one that kills its worker twice does so always.
+pub const MAX_DEATHS: u32 = 2;
+
+/// A durable queue of jobs. Every method fails with `internal` when the backend does.
+#[async_trait]
+pub trait Queue: Send + Sync {
+    /// Stores a new job, unless `most` jobs wait (`queue_full`) or its key is known: then nothing is stored, and the job of the key is
+    /// named (`idempotency_mismatch` when that was another request). When this returns, the job survives anything.
+    async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted>;
+
+    /// A job.
+    async fn get(&self, id: &str) -> Result<Option<Job>>;
+
+    /// A page of jobs, the newest first: those under `cursor`, and the next cursor.
+    async fn list(&self, state: Option<State>, cursor: Option<i64>, limit: u32) -> Result<(Vec<Job>, Option<i64>)>;
+
+    /// Number of jobs by state; states without a job may be left out.
+    async fn counts(&self) -> Result<Vec<(State, u64)>>;
+
+    /// Takes the job whose turn it is among those that there is room for.
+    async fn claim(&self, owner: &str, lease: Duration, room: Room) -> Result<Option<Claim>>;
+
+    /// Renews the lease and notes how far the job is.
+    async fn beat(&self, claim: &Claim, lease: Duration, now: &Standing) -> Result<Beat>;
+
+    /// Notes that the attempt is about to store objects with these hashes, so that nobody removes them. False when the job is not the
+    /// worker's any more.
+    async fn reserve(&self, claim: &Claim, objects: &[String]) -> Result<bool>;
+
+    /// Publishes how an attempt ended, in one step. False when the job is not the worker's any more, or when its user cancelled it and
+    /// `end` is no cancellation.
+    async fn finish(&self, claim: &Claim, end: &End, keep: Duration) -> Result<bool>;
+
+    /// Puts a job back, first in its turn, because its process goes down in an orderly way. False when it is not the worker's any more,
+    /// or when its user cancelled it.
+    async fn release(&self, claim: &Claim, progress: &Progress) -> Result<bool>;
+
+    /// Cancels a job that waits, or asks for it when it runs.
+    async fn cancel(&self, id: &str) -> Result<Canceled>;
+
+    /// Forgets a job. False when there is none.
+    async fn delete(&self, id: &str) -> Result<bool>;
+
+    /// Takes back the running jobs of `owner`, if one is named, and those whose lease ran out. Returns them with their new states:
+    /// queued, behind all that wait, or final after [`MAX_DEATHS`].
+    async fn recover(&self, owner: Option<&str>) -> Result<Vec<(String, State)>>;
+
+    /// The workers that hold jobs.
+    async fn owners(&self) -> Result<Vec<String>>;
+
+    /// Expires the jobs that have waited since before `before` and were never run.
+    async fn expire(&self, before: Moment) -> Result<Vec<(String, State)>>;
+
+    /// Marks the artifacts that have expired as removed. Returns the jobs.
+    async fn expire_artifacts(&self) -> Result<Vec<String>>;
+
+    /// Forgets the jobs that ended before `before` and whose artifacts are gone.
+    async fn forget(&self, before: Moment) -> Result<u64>;
+
+    /// Whether the job still needs what was uploaded for it: it waits or runs.
+    async fn needs_upload(&self, id: &str) -> Result<bool>;
+
+    /// Drops reservations that no running attempt and no result needs (of `job`, or of all), and calls `remove` with every object that
+    /// nothing is left of, and with those of `present` that nothing reserves, while no other worker can reserve it.
+    async fn collect(&self, job: Option<&str>, present: &[String], remove: Remove<'_>) -> Result<()>;
+}
+
+/// Removes an object.
+pub type Remove<'a> = &'a (dyn Fn(&str) + Send + Sync);
+
+/// A job to store.
+#[derive(Debug, Clone, Default)]
+pub struct NewJob {
+    /// Its id.
+    pub id: String,
+    /// Its options, all defaults filled in.
+    pub options: Value,
+    /// What was uploaded.
+    pub inputs: Manifest,
+    /// Bytes that it is expected to need.
+    pub memory: u64,
+    /// The client's key and the fingerprint of its request.
+    pub key: Option<(String, String)>,
+    /// The request that brought it.
+    pub request: Option<String>,
+}
+
+/// What became of a new job.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Submitted {
+    /// It is stored.
+    New,
+    /// The key is known, with the same request: this is its job.
+    Known(String),
+}
+
+/// What a worker has room for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Room {
+    /// Bytes that all its jobs may need together; a job that is expected to need more counts as this much.
+    pub total: u64,
+    /// Bytes of them that are free.
+    pub free: u64,
+    /// Only jobs that are expected to need no more than this.
+    pub most: u64,
+    /// A job for which there is no room is overtaken by smaller ones for so long.
+    pub patience: Duration,
+}
+
+impl Room {
+    /// Room for anything.
+    pub const ANY: Room = Room { total: u64::MAX, free: u64::MAX, most: u64::MAX, patience: Duration::ZERO };
+}
+
+/// A job that its worker holds.
+#[derive(Debug, Clone)]
+pub struct Claim {
+    /// The job.
+    pub id: String,
+    /// Its attempt: the fencing token.
+    pub attempt: u32,
+    /// Its options, as stored.
+    pub options: Value,
+    /// What was uploaded.
+    pub inputs: Manifest,
+    /// The fraction that its users have seen.
+    pub floor: f64,
+    /// Bytes that it is expected to need.
+    pub memory: u64,
+    /// The request that brought it.
+    pub request: Option<String>,
+}
+
+/// Where an attempt stands.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Standing {
+    /// How far it is.
+    pub progress: Progress,
+    /// The stages that it has entered, each with its first progress.
+    pub stages: Vec<Progress>,
+    /// Its warnings.
+    pub warnings: Vec<Warning>,
+}
+
+/// What a heartbeat learns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Beat {
+    /// Go on.
+    Held,
+    /// The user wants it to stop.
+    Cancel,
+    /// The job is no longer the worker's.
+    Lost,
+}
+
+/// How an attempt ended.
+#[derive(Debug, Clone)]
+pub struct End {
+    /// A final state.
+    pub state: State,
+    /// Why it failed.
+    pub error: Option<JobError>,
+    /// Its results.
+    pub artifacts: Vec<Entry>,
+    /// Where it stood at the end.
+    pub standing: Standing,
+    /// Seconds by stage.
+    pub timings: Vec<Timing>,
+}
+
+/// What became of a wish to cancel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Canceled {
+    /// It was waiting and is cancelled.
+    AtOnce,
+    /// It runs and was told.
+    Asked,
+    /// Its state is final.
+    Final,
+    /// There is no such job.
+    Unknown,
+}
+
+/// What a full queue answers.
+pub fn queue_full() -> Failure {
+    Failure::new(Code::QueueFull, "the queue is full; try again later")
+}
+
+/// What a job that was cancelled says.
+pub(super) fn canceled() -> JobError {
+    JobError::from(Failure::new(Code::Canceled, "the job was cancelled"))
+}
+
+/// What a job says that was given up.
+pub(super) fn given_up() -> JobError {
+    JobError::from(Failure::internal(format!("the process that computed this job died {MAX_DEATHS} times")))
+}
+
+/// What another request under a known key is told.
+pub(super) fn mismatch() -> Failure {
+    Failure::new(Code::IdempotencyMismatch, "this Idempotency-Key was used for another request")
+}

@@ -1,0 +1,392 @@
+//! The queue in one SQLite file (WAL): for one machine, any number of processes. All SQL of jobs stands here and beside it.
+
+use std::path::Path;
+use std::time::Duration;
+
+use async_trait::async_trait;
+use serde_json::Value;
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteRow, SqliteSynchronous,
+};
+use sqlx::{AssertSqlSafe, Row};
+
+use super::rows::{job, json, parsed, states};
+use super::{
+    Beat, Canceled, Claim, End, MAX_DEATHS, NewJob, Queue, Remove, Room, Standing, Submitted, canceled, given_up,
+    mismatch, queue_full,
+};
+use crate::context::Progress;
+use crate::error::{Failure, Result};
+use crate::jobs::record::{Job, Moment, State};
+
+/// Version of the tables, kept in the database's `user_version`.
+const VERSION: i64 = 2;
+
+/// The place of a job among those that wait: 1 is next.
+const POSITION: &str = "CASE state WHEN 'queued' THEN (SELECT count(*) FROM jobs other
+  WHERE other.state = 'queued' AND (other.turn, other.seq) <= (jobs.turn, jobs.seq)) END AS position";
+
+/// The queue.
+#[derive(Debug, Clone)]
+pub struct Sqlite {
+    pool: SqlitePool,
+}
+
+impl Sqlite {
+    /// Opens the database, or makes it.
+    ///
+    /// # Errors
+    /// `internal`: the disk, or a database of another version.
+    pub async fn open(path: &Path) -> Result<Self> {
+        let options = SqliteConnectOptions::new()
+            .filename(path)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            // A job is acknowledged only when it would survive a loss of power.
+            .synchronous(SqliteSynchronous::Full)
+            .busy_timeout(Duration::from_secs(20));
+        let pool = SqlitePoolOptions::new().max_connections(4).connect_with(options).await?;
+        let mut connection = pool.begin_with("BEGIN IMMEDIATE").await?;
+        let version: i64 = sqlx::query("PRAGMA user_version").fetch_one(&mut *connection).await?.try_get(0)?;
+        match version {
+            VERSION => {}
+            0 => {
+                sqlx::raw_sql(include_str!("sqlite.sql")).execute(&mut *connection).await?;
+                sqlx::raw_sql(AssertSqlSafe(format!("PRAGMA user_version = {VERSION}")))
+                    .execute(&mut *connection)
+                    .await?;
+            }
+            other => {
+                return Err(Failure::internal(format!("the queue has version {other}; this program knows {VERSION}")));
+            }
+        }
+        connection.commit().await?;
+        Ok(Sqlite { pool })
+    }
+}
+
+#[async_trait]
+impl Queue for Sqlite {
+    async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted> {
+        let (key, fingerprint) = job.key.as_ref().map(|(k, f)| (k.as_str(), f.as_str())).unzip();
+        let done = sqlx::query(
+            "INSERT INTO jobs (id, state, turn, options, inputs, memory, key, fingerprint, request, created_at, queued_at)
+             SELECT ?1, 'queued', (SELECT coalesce(max(turn), 0) + 1 FROM jobs WHERE state = 'queued'), ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8
+             WHERE (SELECT count(*) FROM jobs WHERE state = 'queued') < ?9
+             ON CONFLICT (key) DO NOTHING",
+        )
+        .bind(&job.id)
+        .bind(job.options.to_string())
+        .bind(json(&job.inputs)?)
+        .bind(i64::try_from(job.memory).unwrap_or(i64::MAX))
+        .bind(key)
+        .bind(fingerprint)
+        .bind(&job.request)
+        .bind(Moment::now().0)
+        .bind(most)
+        .execute(&self.pool)
+        .await?;
+        if done.rows_affected() > 0 {
+            return Ok(Submitted::New);
+        }
+        let known =
+            sqlx::query("SELECT id, fingerprint FROM jobs WHERE key = ?1").bind(key).fetch_optional(&self.pool).await?;
+        let Some(row) = known else { return Err(queue_full()) };
+        let before: Option<String> = row.try_get(1)?;
+        if before.as_deref() == fingerprint { Ok(Submitted::Known(row.try_get(0)?)) } else { Err(mismatch()) }
+    }
+
+    async fn get(&self, id: &str) -> Result<Option<Job>> {
+        let sql = format!("SELECT *, {POSITION} FROM jobs WHERE id = ?1");
+        let row = sqlx::query(AssertSqlSafe(sql)).bind(id).fetch_optional(&self.pool).await?;
+        row.as_ref().map(job).transpose()
+    }
+
+    async fn list(&self, state: Option<State>, cursor: Option<i64>, limit: u32) -> Result<(Vec<Job>, Option<i64>)> {
+        let sql = format!(
+            "SELECT *, {POSITION} FROM jobs WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR seq < ?2)
+             ORDER BY seq DESC LIMIT ?3"
+        );
+        let rows = sqlx::query(AssertSqlSafe(sql))
+            .bind(state.map(State::as_str))
+            .bind(cursor)
+            .bind(limit)
+            .fetch_all(&self.pool)
+            .await?;
+        let jobs = rows.iter().map(job).collect::<Result<Vec<_>>>()?;
+        let full = jobs.len() as u64 == u64::from(limit);
+        let next = rows.last().filter(|_| full).map(|row| row.try_get("seq")).transpose()?;
+        Ok((jobs, next))
+    }
+
+    async fn counts(&self) -> Result<Vec<(State, u64)>> {
+        let rows = sqlx::query("SELECT state, count(*) FROM jobs GROUP BY state").fetch_all(&self.pool).await?;
+        let count = |row: &SqliteRow| Ok((row.try_get::<String, _>(0)?, row.try_get::<i64, _>(1)?));
+        let counts = rows.iter().map(count).collect::<Result<Vec<_>>>()?;
+        Ok(counts.into_iter().filter_map(|(s, n)| Some((State::from_name(&s)?, n.unsigned_abs()))).collect())
+    }
+
+    async fn claim(&self, owner: &str, lease: Duration, room: Room) -> Result<Option<Claim>> {
+        let now = Moment::now();
+        let bytes = |n: u64| i64::try_from(n).unwrap_or(i64::MAX);
+        let rows = sqlx::query(
+            "UPDATE jobs SET state = 'running', attempt = attempt + 1, owner = ?1, lease_until = ?2, started_at = ?3,
+               warnings = '[]', timings = '[]', stages = '[]'
+             WHERE state = 'queued' AND seq = (
+               SELECT seq FROM jobs own WHERE state = 'queued' AND min(memory, ?4) <= ?5 AND memory <= ?6
+                 AND NOT EXISTS (SELECT 1 FROM jobs first WHERE first.state = 'queued'
+                   AND (first.turn, first.seq) < (own.turn, own.seq) AND min(first.memory, ?4) > ?5 AND first.queued_at < ?7)
+               ORDER BY turn, seq LIMIT 1)
+             RETURNING id, attempt, options, inputs, progress, memory, request",
+        )
+        .bind(owner)
+        .bind(now.plus(lease).0)
+        .bind(now.0)
+        .bind(bytes(room.total))
+        .bind(bytes(room.free))
+        .bind(bytes(room.most))
+        .bind(now.minus(room.patience).0)
+        .fetch_all(&self.pool)
+        .await?;
+        let Some(row) = rows.first() else { return Ok(None) };
+        let progress: Value = parsed(row, "progress")?;
+        Ok(Some(Claim {
+            id: row.try_get("id")?,
+            attempt: row.try_get("attempt")?,
+            options: parsed(row, "options")?,
+            inputs: parsed(row, "inputs")?,
+            floor: progress.get("fraction").and_then(Value::as_f64).unwrap_or(0.0),
+            memory: row.try_get::<i64, _>("memory")?.unsigned_abs(),
+            request: row.try_get("request")?,
+        }))
+    }
+
+    async fn beat(&self, claim: &Claim, lease: Duration, now: &Standing) -> Result<Beat> {
+        let rows = sqlx::query(
+            "UPDATE jobs SET lease_until = ?3, progress = ?4, stages = ?5, warnings = ?6
+             WHERE id = ?1 AND attempt = ?2 AND state = 'running' RETURNING cancel_requested",
+        )
+        .bind(&claim.id)
+        .bind(claim.attempt)
+        .bind(Moment::now().plus(lease).0)
+        .bind(json(&now.progress)?)
+        .bind(json(&now.stages)?)
+        .bind(json(&now.warnings)?)
+        .fetch_all(&self.pool)
+        .await?;
+        match rows.first() {
+            None => Ok(Beat::Lost),
+            Some(row) if row.try_get(0)? => Ok(Beat::Cancel),
+            Some(_) => Ok(Beat::Held),
+        }
+    }
+
+    async fn reserve(&self, claim: &Claim, objects: &[String]) -> Result<bool> {
+        let mut step = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let held = sqlx::query(
+            "SELECT 1 FROM jobs WHERE id = ?1 AND attempt = ?2 AND state = 'running' AND cancel_requested = 0",
+        )
+        .bind(&claim.id)
+        .bind(claim.attempt)
+        .fetch_optional(&mut *step)
+        .await?;
+        if held.is_none() {
+            return Ok(false);
+        }
+        for object in objects {
+            sqlx::query("INSERT OR IGNORE INTO objects (sha256, job, attempt) VALUES (?1, ?2, ?3)")
+                .bind(object)
+                .bind(&claim.id)
+                .bind(claim.attempt)
+                .execute(&mut *step)
+                .await?;
+        }
+        step.commit().await?;
+        Ok(true)
+    }
+
+    async fn finish(&self, claim: &Claim, end: &End, keep: Duration) -> Result<bool> {
+        let now = Moment::now();
+        let done = sqlx::query(
+            "UPDATE jobs SET state = ?3, finished_at = ?4, artifacts_expire_at = ?5, progress = ?6, timings = ?7, warnings = ?8,
+               error = ?9, artifacts = ?10, stages = ?11, owner = NULL, lease_until = NULL
+             WHERE id = ?1 AND attempt = ?2 AND state = 'running' AND (cancel_requested = 0 OR ?3 = 'canceled')",
+        )
+        .bind(&claim.id)
+        .bind(claim.attempt)
+        .bind(end.state.as_str())
+        .bind(now.0)
+        .bind((!end.artifacts.is_empty()).then(|| now.plus(keep).0))
+        .bind(json(&end.standing.progress)?)
+        .bind(json(&end.timings)?)
+        .bind(json(&end.standing.warnings)?)
+        .bind(end.error.as_ref().map(json).transpose()?)
+        .bind(json(&end.artifacts)?)
+        .bind(json(&end.standing.stages)?)
+        .execute(&self.pool)
+        .await?;
+        Ok(done.rows_affected() > 0)
+    }
+
+    async fn release(&self, claim: &Claim, progress: &Progress) -> Result<bool> {
+        let done = sqlx::query(
+            "UPDATE jobs SET state = 'queued', owner = NULL, lease_until = NULL, progress = ?3, queued_at = ?4
+             WHERE id = ?1 AND attempt = ?2 AND state = 'running' AND cancel_requested = 0",
+        )
+        .bind(&claim.id)
+        .bind(claim.attempt)
+        .bind(json(progress)?)
+        .bind(Moment::now().0)
+        .execute(&self.pool)
+        .await?;
+        Ok(done.rows_affected() > 0)
+    }
+
+    async fn cancel(&self, id: &str) -> Result<Canceled> {
+        let rows = sqlx::query(
+            "UPDATE jobs SET cancel_requested = 1,
+               finished_at = CASE state WHEN 'queued' THEN ?2 END, error = CASE state WHEN 'queued' THEN ?3 END,
+               state = CASE state WHEN 'queued' THEN 'canceled' ELSE state END
+             WHERE id = ?1 AND state IN ('queued', 'running') RETURNING state",
+        )
+        .bind(id)
+        .bind(Moment::now().0)
+        .bind(json(&canceled())?)
+        .fetch_all(&self.pool)
+        .await?;
+        if let Some(row) = rows.first() {
+            let state: String = row.try_get(0)?;
+            return Ok(if state == "running" { Canceled::Asked } else { Canceled::AtOnce });
+        }
+        let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?1").bind(id).fetch_optional(&self.pool).await?;
+        Ok(if known.is_some() { Canceled::Final } else { Canceled::Unknown })
+    }
+
+    async fn delete(&self, id: &str) -> Result<bool> {
+        let done = sqlx::query("DELETE FROM jobs WHERE id = ?1").bind(id).execute(&self.pool).await?;
+        Ok(done.rows_affected() > 0)
+    }
+
+    async fn recover(&self, owner: Option<&str>) -> Result<Vec<(String, State)>> {
+        let rows = sqlx::query(
+            "UPDATE jobs SET deaths = deaths + 1, owner = NULL, lease_until = NULL, queued_at = ?3,
+               turn = (SELECT coalesce(max(turn), 0) + 1 FROM jobs),
+               state = CASE WHEN cancel_requested THEN 'canceled' WHEN deaths + 1 >= ?2 THEN 'failed' ELSE 'queued' END,
+               finished_at = CASE WHEN cancel_requested OR deaths + 1 >= ?2 THEN ?3 END,
+               error = CASE WHEN cancel_requested THEN ?5 WHEN deaths + 1 >= ?2 THEN ?4 END
+             WHERE state = 'running' AND (owner = ?1 OR lease_until < ?3) RETURNING id, state",
+        )
+        .bind(owner)
+        .bind(MAX_DEATHS)
+        .bind(Moment::now().0)
+        .bind(json(&given_up())?)
+        .bind(json(&canceled())?)
+        .fetch_all(&self.pool)
+        .await?;
+        states(&rows)
+    }
+
+    async fn owners(&self) -> Result<Vec<String>> {
+        let sql = "SELECT DISTINCT owner FROM jobs WHERE state = 'running' AND owner IS NOT NULL ORDER BY owner";
+        let rows = sqlx::query(sql).fetch_all(&self.pool).await?;
+        rows.iter().map(|row| Ok(row.try_get(0)?)).collect()
+    }
+
+    async fn expire(&self, before: Moment) -> Result<Vec<(String, State)>> {
+        let rows = sqlx::query(
+            "UPDATE jobs SET state = 'expired', finished_at = ?2
+             WHERE state = 'queued' AND attempt = 0 AND created_at < ?1 RETURNING id, state",
+        )
+        .bind(before.0)
+        .bind(Moment::now().0)
+        .fetch_all(&self.pool)
+        .await?;
+        states(&rows)
+    }
+
+    async fn expire_artifacts(&self) -> Result<Vec<String>> {
+        let rows = sqlx::query(
+            "UPDATE jobs SET artifacts_removed = 1 WHERE artifacts_removed = 0 AND artifacts_expire_at <= ?1 RETURNING id",
+        )
+        .bind(Moment::now().0)
+        .fetch_all(&self.pool)
+        .await?;
+        rows.iter().map(|row| Ok(row.try_get(0)?)).collect()
+    }
+
+    async fn forget(&self, before: Moment) -> Result<u64> {
+        let done = sqlx::query(
+            "DELETE FROM jobs WHERE finished_at < ?1 AND (artifacts_removed = 1 OR artifacts_expire_at IS NULL)",
+        )
+        .bind(before.0)
+        .execute(&self.pool)
+        .await?;
+        Ok(done.rows_affected())
+    }
+
+    async fn needs_upload(&self, id: &str) -> Result<bool> {
+        let row = sqlx::query("SELECT 1 FROM jobs WHERE id = ?1 AND state IN ('queued', 'running')")
+            .bind(id)
+            .fetch_optional(&self.pool)
+            .await?;
+        Ok(row.is_some())
+    }
+
+    async fn collect(&self, of: Option<&str>, present: &[String], remove: Remove<'_>) -> Result<()> {
+        // Whoever wants to reserve an object waits until this step is done.
+        let mut step = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let rows = sqlx::query(
+            "DELETE FROM objects WHERE (?1 IS NULL OR job = ?1) AND NOT EXISTS (
+               SELECT 1 FROM jobs WHERE jobs.id = objects.job AND jobs.attempt = objects.attempt AND (jobs.state = 'running'
+                 OR jobs.finished_at IS NOT NULL AND jobs.artifacts_removed = 0 AND jobs.artifacts <> '[]'))
+             RETURNING sha256",
+        )
+        .bind(of)
+        .fetch_all(&mut *step)
+        .await?;
+        let mut objects = rows.iter().map(|row| Ok(row.try_get(0)?)).collect::<Result<Vec<String>>>()?;
+        objects.extend_from_slice(present);
+        objects.sort_unstable();
+        objects.dedup();
+        for object in objects {
+            let sql = "SELECT 1 FROM objects WHERE sha256 = ?1 LIMIT 1";
+            if sqlx::query(sql).bind(&object).fetch_optional(&mut *step).await?.is_none() {
+                remove(&object);
+            }
+        }
+        Ok(step.commit().await?)
+    }
+}
+
+impl From<sqlx::Error> for Failure {
+    fn from(error: sqlx::Error) -> Self {
+        tracing::error!(%error, "the queue failed");
+        Failure::internal("the job queue failed")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::queue::conformance;
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+    async fn it_conforms() {
+        let root = tempfile::tempdir().unwrap();
+        let mut number = 0;
+        conformance::suite(async || {
+            number += 1;
+            Sqlite::open(&root.path().join(format!("{number}.sqlite"))).await.unwrap()
+        })
+        .await;
+    }
+
+    #[tokio::test]
+    async fn a_queue_of_another_version_is_refused() {
+        let root = tempfile::tempdir().unwrap();
+        let path = root.path().join("queue.sqlite");
+        let queue = Sqlite::open(&path).await.unwrap();
+        sqlx::raw_sql("PRAGMA user_version = 99").execute(&queue.pool).await.unwrap();
+        assert!(Sqlite::open(&path).await.unwrap_err().message.contains("99"));
+    }
+}

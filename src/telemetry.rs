@@ -1,0 +1,124 @@
+//! What is counted for Prometheus.
+
+use std::time::Duration;
+
+use prometheus::{
+    Encoder, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry, TextEncoder,
+};
+
+use crate::error::{Failure, Result};
+use crate::jobs::queue::End;
+use crate::jobs::record::State;
+
+/// Upper bounds of the buckets of job and stage times, in seconds.
+const WORK: &[f64] = &[0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
+/// The same of answers.
+const ANSWERS: &[f64] = &[0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0, 5.0];
+
+/// The figures of one service.
+pub struct Telemetry {
+    registry: Registry,
+    jobs: IntGaugeVec,
+    ended: IntCounterVec,
+    job_seconds: HistogramVec,
+    stage_seconds: HistogramVec,
+    answers: IntCounterVec,
+    answer_seconds: HistogramVec,
+    slots: IntGauge,
+    memory: IntGauge,
+    /// Bytes that were uploaded.
+    pub received: IntCounter,
+    /// Bytes of artifacts that were published.
+    pub published: IntCounter,
+}
+
+impl Telemetry {
+    /// All figures at zero.
+    ///
+    /// # Errors
+    /// `internal`, should a name not be valid.
+    pub fn new() -> Result<Self> {
+        Self::made().map_err(|e| Failure::internal(format!("the metrics are broken: {e}")))
+    }
+
+    fn made() -> prometheus::Result<Self> {
+        let registry = Registry::new();
+        let opts = |name: &str, help: &str| Opts::new(format!("intarsia_{name}"), help);
+        let histogram = |name: &str, help: &str, buckets: &[f64], labels: &[&str]| {
+            let made = HistogramVec::new(HistogramOpts::from(opts(name, help)).buckets(buckets.to_vec()), labels)?;
+            registry.register(Box::new(made.clone())).map(|()| made)
+        };
+        let counter = |name: &str, help: &str| {
+            let made = IntCounter::with_opts(opts(name, help))?;
+            registry.register(Box::new(made.clone())).map(|()| made)
+        };
+        let counters = |name: &str, help: &str, labels: &[&str]| {
+            let made = IntCounterVec::new(opts(name, help), labels)?;
+            registry.register(Box::new(made.clone())).map(|()| made)
+        };
+        let gauge = |name: &str, help: &str| {
+            let made = IntGauge::with_opts(opts(name, help))?;
+            registry.register(Box::new(made.clone())).map(|()| made)
+        };
+        let jobs = IntGaugeVec::new(opts("jobs", "Jobs that the queue holds, by state"), &["state"])?;
+        registry.register(Box::new(jobs.clone()))?;
+        Ok(Telemetry {
+            jobs,
+            ended: counters(
+                "jobs_ended_total",
+                "Attempts that this process ended, by state and code of the error",
+                &["state", "code"],
+            )?,
+            job_seconds: histogram("job_seconds", "Seconds from the start of an attempt to its end", WORK, &["state"])?,
+            stage_seconds: histogram("stage_seconds", "Seconds of a stage", WORK, &["stage"])?,
+            answers: counters("http_requests_total", "Requests answered", &["method", "route", "status"])?,
+            answer_seconds: histogram(
+                "http_request_seconds",
+                "Seconds until the head of an answer",
+                ANSWERS,
+                &["method", "route"],
+            )?,
+            slots: gauge("jobs_running", "Jobs that this process runs")?,
+            memory: gauge("memory_reserved_bytes", "Bytes that the jobs of this process are expected to need")?,
+            received: counter("upload_bytes_total", "Bytes of uploads")?,
+            published: counter("artifact_bytes_total", "Bytes of published artifacts")?,
+            registry,
+        })
+    }
+
+    /// Counts the end of an attempt.
+    pub fn ended(&self, end: &End, took: Duration) {
+        let code = end.error.as_ref().map_or("", |e| e.code.as_str());
+        self.ended.with_label_values(&[end.state.as_str(), code]).inc();
+        self.job_seconds.with_label_values(&[end.state.as_str()]).observe(took.as_secs_f64());
+        for timing in &end.timings {
+            self.stage_seconds.with_label_values(&[timing.stage.as_str()]).observe(timing.seconds);
+        }
+        self.published.inc_by(end.artifacts.iter().map(|a| a.bytes).sum());
+    }
+
+    /// Counts an answer. `route` is the pattern, not the path.
+    pub fn answered(&self, method: &str, route: &str, status: u16, took: Duration) {
+        self.answers.with_label_values(&[method, route, status.to_string().as_str()]).inc();
+        self.answer_seconds.with_label_values(&[method, route]).observe(took.as_secs_f64());
+    }
+
+    /// The text that Prometheus reads, with how the queue and the slots are now.
+    ///
+    /// # Errors
+    /// `internal`.
+    pub fn text(&self, counts: &[(State, u64)], (slots, memory): (usize, u64)) -> Result<String> {
+        let whole = |n: u64| i64::try_from(n).unwrap_or(i64::MAX);
+        for state in State::ALL {
+            let count = counts.iter().find(|c| c.0 == state).map_or(0, |c| c.1);
+            self.jobs.with_label_values(&[state.as_str()]).set(whole(count));
+        }
+        self.slots.set(whole(slots as u64));
+        self.memory.set(whole(memory));
+        let mut text = Vec::new();
+        TextEncoder::new()
+            .encode(&self.registry.gather(), &mut text)
+            .map_err(|e| Failure::internal(format!("the metrics cannot be written: {e}")))?;
+        String::from_utf8(text).map_err(|e| Failure::internal(e.to_string()))
+    }
+}
