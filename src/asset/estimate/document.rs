@@ -18,6 +18,8 @@ use crate::texture::{Header, probe};
 
 /// Bytes of a string at first: the head of an image in a data URI.
 const STRING: usize = 128 << 10;
+/// How often an entry of an archive is read for images that lie in each other.
+const MOST_ROUNDS: usize = 64;
 
 /// A document and where its parts lie.
 struct Draft {
@@ -89,12 +91,14 @@ impl Draft {
     /// What the head of each image says.
     fn images(&self, model: usize, files: &mut Files) -> Vec<Option<Header>> {
         let mut found = Vec::new();
-        // By file and offset, so that each file is read once and forward.
-        let mut views: BTreeMap<(Holder, u64), Vec<usize>> = BTreeMap::new();
+        // By file and offset, so that each file is read once and forward: the longest view, and the images.
+        let mut views: BTreeMap<Holder, BTreeMap<u64, (u64, Vec<usize>)>> = BTreeMap::new();
         for (index, image) in array(&self.json, "images").iter().enumerate() {
             let place = image.get("bufferView").and_then(|view| self.view(view, model, files));
-            if let Some(place) = place {
-                views.entry(place).or_default().push(index);
+            if let Some((holder, offset)) = place {
+                let (longest, images) = views.entry(holder).or_default().entry(offset).or_default();
+                *longest = self.image_length(image, model, files).max(*longest);
+                images.push(index);
             }
             found.push(match image.get("uri").and_then(Value::as_str) {
                 Some(data) if uri::is_data(data) => data_bytes(data).and_then(|bytes| probe(&*bytes)),
@@ -102,30 +106,29 @@ impl Draft {
                 None => None,
             });
         }
-        let holders: BTreeSet<Holder> = views.keys().map(|(holder, _)| *holder).collect();
-        for holder in holders {
-            let places = || views.range((holder, 0)..=(holder, u64::MAX)).map(|((_, offset), images)| (*offset, images));
+        for (holder, mut places) in views {
             let mut read = |file: &mut dyn Forward| {
-                let mut last = None;
-                for (offset, images) in places() {
-                    // Where images lie in each other, a stream has passed the second one's head.
-                    last = if file.to(offset).is_ok() { probe(&mut *file) } else { last };
-                    for image in images {
-                        if let Some(slot) = found.get_mut(*image) {
-                            *slot = last;
-                        }
+                places.retain(|offset, (length, images)| {
+                    if file.to(*offset).is_err() {
+                        return true;
                     }
-                }
+                    let header = probe(file.take(*length));
+                    images.iter().filter(|i| **i < found.len()).for_each(|i| found[*i] = header);
+                    false
+                });
+                places.is_empty()
             };
-            match holder {
-                Holder::File(index) => {
-                    files.open(index, read);
-                }
-                Holder::Data(buffer) => {
-                    let uri = array(&self.json, "buffers").get(buffer).and_then(|b| b.get("uri")?.as_str());
-                    if let Some(bytes) = uri.and_then(data_bytes) {
-                        read(&mut Stream::new(&*bytes));
+            // Once, unless images lie in each other and the file is a stream.
+            for _ in 0..MOST_ROUNDS {
+                let done = match holder {
+                    Holder::File(index) => files.open(index, &mut read),
+                    Holder::Data(buffer) => {
+                        let uri = array(&self.json, "buffers").get(buffer).and_then(|b| b.get("uri")?.as_str());
+                        uri.and_then(data_bytes).map(|bytes| read(&mut Stream::new(&*bytes)))
                     }
+                };
+                if done.unwrap_or(true) {
+                    break;
                 }
             }
         }
@@ -177,7 +180,8 @@ impl Draft {
         let primitives = meshes.iter().flat_map(|m| array(m, "primitives"));
         let positions: BTreeSet<u64> =
             primitives.filter_map(|p| p.get("attributes")?.get("POSITION")?.as_u64()).collect();
-        let counts = positions.iter().filter_map(|p| self.element("accessors", &Value::from(*p))?.get("count")?.as_u64());
+        let counts =
+            positions.iter().filter_map(|p| self.element("accessors", &Value::from(*p))?.get("count")?.as_u64());
         sum.vertices(counts.fold(0, u64::saturating_add));
     }
 }

@@ -48,6 +48,8 @@ pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) 
         match container {
             Container::Obj => {
                 all.open(index, |file| obj::add(file, &mut sum));
+                // Its materials may name any of the images.
+                all.known().iter().filter(|k| k.image.is_some()).for_each(|k| sum.gathered(k.length));
             }
             Container::Glb | Container::Gltf => document::add(&mut all, index, container, limits, &mut sum),
         }

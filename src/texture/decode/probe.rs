@@ -5,18 +5,18 @@ use std::io::{self, Read};
 use super::{check_sides, format};
 use crate::texture::{Format, Header};
 
-/// Bytes with which every format but JPEG tells its size.
-const HEAD: usize = 32;
+/// Bytes with which every format but JPEG tells its size: the signature of a PNG and its first chunk are the most.
+const HEAD: usize = 33;
 
-/// Reads the head of an image file; JPEG up to its frame, the others 32 bytes. Where those bytes do not tell it, channels and depth
-/// are the most that there may be. Nothing is checked but the size, so that [`header`](super::header) may still refuse the file.
+/// Reads the head of an image file: JPEG up to its frame, PNG up to its data, of the others 33 bytes. Where that does not tell channels
+/// and depth, they are the most that there may be. Nothing is checked but the size, so that [`header`](super::header) may still refuse the file.
 /// None where the head tells no size.
 pub fn probe(mut file: impl Read) -> Option<Header> {
     let mut head = Vec::with_capacity(HEAD);
     (&mut file).take(HEAD as u64).read_to_end(&mut head).ok()?;
     let format = format(&head).ok()?;
     let (size, channels, depth) = match format {
-        Format::Png => png(&head)?,
+        Format::Png => png(&head, file)?,
         Format::Webp => (webp(&head)?, 4, 8),
         Format::Ktx2 => {
             let deep = matches!(little(&head, 12)?, 70 | 77 | 84 | 91);
@@ -31,14 +31,33 @@ pub fn probe(mut file: impl Read) -> Option<Header> {
     Some(Header { width: size[0], height: size[1], channels, depth, format })
 }
 
-/// IHDR comes first (PNG, 11.2.1). A transparent colour may follow it anywhere.
-fn png(head: &[u8]) -> Option<([u32; 2], u8, u8)> {
+/// IHDR comes first (PNG, 5.6); a transparent colour, which becomes alpha, stands somewhere between it and the first IDAT.
+fn png(head: &[u8], file: impl Read) -> Option<([u32; 2], u8, u8)> {
     let big = |at: usize| head.get(at..at + 4)?.try_into().ok().map(u32::from_be_bytes);
-    let channels = match head.get(25)? {
-        0 | 4 => 2,
+    let (depth, colour) = (*head.get(24)?, *head.get(25)?);
+    let channels = match colour {
+        0 => 1 + u8::from(is_transparent(head, file)),
+        2 => 3 + u8::from(is_transparent(head, file)),
+        4 => 2,
         _ => 4,
     };
-    Some(([big(16)?, big(20)?], channels, if *head.get(24)? == 16 { 16 } else { 8 }))
+    Some(([big(16)?, big(20)?], channels, if depth == 16 { 16 } else { 8 }))
+}
+
+fn is_transparent(head: &[u8], file: impl Read) -> bool {
+    // After the signature, IHDR and its checksum.
+    let mut file = head.get(33..).unwrap_or_default().chain(file);
+    loop {
+        let mut chunk = [0; 8];
+        if file.read_exact(&mut chunk).is_err() || chunk.ends_with(b"IDAT") {
+            return false;
+        }
+        if chunk.ends_with(b"tRNS") {
+            return true;
+        }
+        let length = u64::from(u32::from_be_bytes([chunk[0], chunk[1], chunk[2], chunk[3]]));
+        let _ = io::copy(&mut (&mut file).take(length + 4), &mut io::sink());
+    }
 }
 
 /// The first chunk tells the size of the picture or of its canvas (RFC 9649, 2.5 to 2.7).
