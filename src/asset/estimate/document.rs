@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
 
 use serde_json::Value;
 
@@ -112,8 +113,8 @@ impl Draft {
                     if file.to(*offset).is_err() {
                         return true;
                     }
-                    let header = probe(file.take(*length));
-                    images.iter().filter(|i| **i < found.len()).for_each(|i| found[*i] = header);
+                    let header = probe(Read::take(&mut *file, *length));
+                    images.iter().for_each(|image| found[*image] = header);
                     false
                 });
                 places.is_empty()
