@@ -56,7 +56,7 @@ pub(super) fn add(files: &mut Files, index: usize, container: Container, limits:
     for (image, object) in images.iter().zip(array(&draft.json, "images")) {
         // Files of the upload are counted as such.
         if let Some(header) = image
-            && !object.get("uri").and_then(Value::as_str).is_some_and(|uri| !uri::is_data(uri))
+            && object.get("uri").and_then(Value::as_str).is_none_or(uri::is_data)
         {
             sum.image(*header, limits);
         }

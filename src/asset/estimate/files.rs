@@ -113,7 +113,7 @@ impl Files {
 
     /// Walks an archive. Its entries are read to their ends and kept nowhere: what they declare is not believed.
     fn unpack(&mut self, name: &str, mut file: File, entries: &mut Vec<Entry<'static>>) {
-        if check_entries(name, &file).and_then(|()| Ok(file.to(0))).is_err() {
+        if check_entries(name, &file).is_err() || file.to(0).is_err() {
             return;
         }
         let Ok(mut archive) = ZipArchive::new(BufReader::new(file)) else { return };

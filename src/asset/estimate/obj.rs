@@ -9,8 +9,7 @@ pub(super) fn add(file: impl Read, sum: &mut Sum) {
     let mut file = BufReader::with_capacity(1 << 16, file);
     let mut line = Line::default();
     let (mut triangles, mut vertices) = (0u64, 0u64);
-    loop {
-        let Ok(chunk) = file.fill_buf() else { break };
+    while let Ok(chunk) = file.fill_buf() {
         let length = chunk.len();
         // A line feed at the end for the one that is missing.
         for byte in if length == 0 { b"\n" } else { chunk } {
