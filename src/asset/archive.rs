@@ -53,7 +53,7 @@ pub(crate) fn unpack(path: &str, bytes: &[u8], left: &mut u64) -> Result<Vec<Ent
 }
 
 /// What operating systems leave in archives.
-fn is_litter(name: &str) -> bool {
+pub(crate) fn is_litter(name: &str) -> bool {
     name.starts_with("__MACOSX/") || file_name(name).starts_with('.')
 }
 

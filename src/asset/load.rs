@@ -17,10 +17,14 @@ use crate::error::{Code, Failure, Result, Warning};
 /// Most values that a glTF JSON may hold: each takes some 80 bytes of memory, however short it is written.
 const MAX_JSON_VALUES: usize = 8_000_000;
 
+/// What a model file is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Container {
+pub(crate) enum Container {
+    /// Binary glTF.
     Glb,
+    /// glTF as JSON.
     Gltf,
+    /// Wavefront OBJ.
     Obj,
 }
 
@@ -135,7 +139,7 @@ fn not_a_model(entry: &Entry<'_>) -> Failure {
 }
 
 /// What a file is, by its first bytes, then its name, and where `guess` is set by how its text looks.
-fn container(entry: &Entry<'_>, guess: bool) -> Option<Container> {
+pub(crate) fn container(entry: &Entry<'_>, guess: bool) -> Option<Container> {
     let bytes = &*entry.bytes;
     if bytes.starts_with(glb::MAGIC) {
         return Some(Container::Glb);

@@ -9,6 +9,7 @@ mod accessor_type;
 mod append;
 mod archive;
 mod compression;
+mod estimate;
 mod glb;
 mod limits;
 mod load;
@@ -33,6 +34,7 @@ pub use accessor::{
 pub use accessor_type::{ComponentType, Kind};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
 pub(crate) use archive::check_entries;
+pub use estimate::{Estimate, estimate};
 pub use limits::Limits;
 pub use load::{load, load_while, side_file};
 pub use merge::{Counts, Merge, Merged, MergedMaterial, Merging, finish as finish_merge, prepare as prepare_merge};

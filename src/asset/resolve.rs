@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::Document;
 use super::compression;
+use super::json::array;
 use super::limits::Limits;
 use super::merge::Merging;
 use super::nodes;
@@ -239,26 +240,30 @@ fn images(
 /// Counts the triangles that the primitives declare; what is broken about them is told by those who read them.
 fn check_triangles(json: &Value, limits: &Limits) -> Result<()> {
     let mut total: u64 = 0;
-    let count = |accessor: &Value| {
-        let index = usize::try_from(accessor.as_u64()?).ok()?;
-        json.get("accessors")?.get(index)?.get("count")?.as_u64()
-    };
     for (mesh, object) in list(json, "meshes")?.iter().enumerate() {
-        let primitives = object.get("primitives").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-        for primitive in primitives {
-            let position = || primitive.get("attributes")?.get("POSITION");
-            let corners = primitive.get("indices").or_else(position).and_then(count).unwrap_or(0);
-            let triangles = match primitive.get("mode").map_or(Some(4), Value::as_u64) {
-                Some(4) => corners / 3,
-                Some(5 | 6) => corners.saturating_sub(2),
-                _ => 0,
-            };
-            total = total.saturating_add(triangles);
-        }
+        total = total.saturating_add(triangles(json, object));
         if total > limits.max_triangles {
             let message = format!("the model has more than {} triangles", limits.max_triangles);
             return Err(Failure::new(Code::TooLarge, message).at(format!("/meshes/{mesh}")));
         }
     }
     Ok(())
+}
+
+/// The triangles that the primitives of a mesh declare.
+pub(crate) fn triangles(json: &Value, mesh: &Value) -> u64 {
+    let count = |accessor: &Value| {
+        let index = usize::try_from(accessor.as_u64()?).ok()?;
+        json.get("accessors")?.get(index)?.get("count")?.as_u64()
+    };
+    let primitives = array(mesh, "primitives").iter().map(|primitive| {
+        let position = || primitive.get("attributes")?.get("POSITION");
+        let corners = primitive.get("indices").or_else(position).and_then(count).unwrap_or(0);
+        match primitive.get("mode").map_or(Some(4), Value::as_u64) {
+            Some(4) => corners / 3,
+            Some(5 | 6) => corners.saturating_sub(2),
+            _ => 0,
+        }
+    });
+    primitives.fold(0, u64::saturating_add)
 }

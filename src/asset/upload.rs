@@ -46,11 +46,15 @@ impl<'a> Upload<'a> {
     /// The file at a path; else, as browsers and archives lose folders and some file systems case, the only
     /// one of that name.
     pub(crate) fn find(&self, path: &str) -> Option<&Entry<'a>> {
-        let index = match self.by_path.get(path) {
+        self.entries.get(self.position(path)?)
+    }
+
+    /// The index of what [`Upload::find`] finds.
+    pub(crate) fn position(&self, path: &str) -> Option<usize> {
+        match self.by_path.get(path) {
             Some(index) => Some(*index),
             None => self.by_name.get(&file_name(path).to_lowercase()).copied().flatten(),
-        };
-        self.entries.get(index?)
+        }
     }
 }
 

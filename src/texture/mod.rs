@@ -18,7 +18,7 @@ mod widen;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
 pub(crate) use codec::linear_to_srgb;
-pub use decode::{decode, header, is_lossy};
+pub use decode::{decode, header, is_lossy, probe};
 pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};

@@ -5,9 +5,12 @@ mod fixture;
 mod jpeg;
 mod ktx2;
 mod png;
+mod probe;
 #[cfg(test)]
 mod tests;
 mod webp;
+
+pub use probe::probe;
 
 use std::panic::{UnwindSafe, catch_unwind};
 

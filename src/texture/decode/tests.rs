@@ -416,3 +416,35 @@ fn a_ktx2_file_that_is_no_plain_texture_is_refused() {
     large[20..28].copy_from_slice(&[0xff, 0xff, 0, 0, 0xff, 0xff, 0, 0]);
     assert_eq!(header(&large).unwrap_err().code, Code::InvalidImage);
 }
+
+#[test]
+fn a_probe_tells_from_the_head_what_the_header_does() {
+    let mut files = vec![jpeg(bytes(&picture(24, 16, 3, false)), jpeg_encoder::ColorType::Rgb, |e| {
+        e.add_app_segment(5, vec![0xff; 60_000]).unwrap();
+        e.set_progressive(true);
+    })];
+    files.push(jpeg(bytes(&picture(24, 16, 1, false)), jpeg_encoder::ColorType::Luma, |_| {}));
+    for channels in 1..=4 {
+        files.push(encode(&picture(37, 21, channels, false), Format::Png, 90).unwrap());
+        files.push(encode(&picture(37, 21, channels, true), Format::Png, 90).unwrap());
+        files.push(encode(&picture(37, 21, channels, false), Format::Webp, 90).unwrap());
+    }
+    files.push(grey_webp([12, 9], None));
+    files.push(grey_webp([12, 9], Some(&[7; 108])));
+    for file in files {
+        let (whole, head) = (header(&file).unwrap(), probe(&file[..]).unwrap());
+        assert_eq!(
+            (head.width, head.height, head.depth, head.format),
+            (whole.width, whole.height, whole.depth, whole.format)
+        );
+        assert!(head.channels >= whole.channels);
+        assert!(whole.format == Format::Webp || head.channels == whole.channels);
+        // The picture itself is not needed.
+        let end = if whole.format == Format::Jpeg { file.len() - 40 } else { 33 };
+        assert_eq!(probe(&file[..end]).map(|h| [h.width, h.height]), Some([whole.width, whole.height]));
+        for end in 0..33.min(file.len()) {
+            let _ = probe(&file[..end]);
+        }
+    }
+    assert_eq!(probe(&b"GIF89a"[..]), None);
+}

@@ -1,0 +1,58 @@
+//! How much memory a job will need, told by headers before anything is decoded.
+
+mod document;
+mod files;
+mod obj;
+mod sum;
+#[cfg(test)]
+mod tests;
+mod tree;
+
+use std::path::Path;
+
+use super::limits::Limits;
+use super::load::Container;
+use files::Files;
+use sum::Sum;
+
+/// What a job on one model will need. Of several models, each with the files that they share, the sums count.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Estimate {
+    /// Bytes of memory at the peak.
+    pub bytes: u64,
+    /// Texels of all images.
+    pub texels: u64,
+    /// Triangles of all meshes, each once.
+    pub triangles: u64,
+}
+
+/// Estimates what a refinement of `model` (its name, and where it is on the disk) with the `files` that it may name will hold in
+/// memory at its peak. Files are only looked at: what is held of them is some heads and the part of a glTF JSON that tells sizes, at
+/// most a few times `max_json_bytes` for the worst. Declared sizes are clamped to `limits`, beyond which a job fails; what
+/// cannot be read counts by its length, and the job itself will tell why.
+pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) -> Estimate {
+    let mut sum = Sum::default();
+    let mut all = Files::new(std::iter::once(model).chain(files.iter().copied()), limits);
+    sum.files(all.packed);
+    let mut models = Vec::new();
+    for (index, known) in all.known().iter().enumerate() {
+        sum.files(known.length);
+        if let Some(header) = known.image {
+            sum.image(header, limits);
+        }
+        if let Some(container) = known.container {
+            models.push((index, container));
+        }
+    }
+    for (index, container) in models {
+        match container {
+            Container::Obj => {
+                all.open(index, |file| obj::add(file, &mut sum));
+                // Its materials may name any of the images.
+                all.known().iter().filter(|k| k.image.is_some()).for_each(|k| sum.gathered(k.length));
+            }
+            Container::Glb | Container::Gltf => document::add(&mut all, index, container, limits, &mut sum),
+        }
+    }
+    sum.estimate(limits)
+}

@@ -1,0 +1,185 @@
+//! Estimates of the samples, of every container, and of files that lie.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use super::super::fixture::png;
+use super::super::{File, glb, load, sample};
+use super::*;
+use crate::texture::{Samples, decode};
+
+/// Stores files under numbers, as uploads are, and estimates the first with the others.
+fn of(files: &[(&str, &[u8])], limits: &Limits) -> Estimate {
+    let folder = TempDir::new().unwrap();
+    let stored: Vec<(&str, PathBuf)> = files
+        .iter()
+        .enumerate()
+        .map(|(number, (name, bytes))| {
+            let path = folder.path().join(number.to_string());
+            std::fs::write(&path, bytes).unwrap();
+            (*name, path)
+        })
+        .collect();
+    let all: Vec<(&str, &Path)> = stored.iter().map(|(name, path)| (*name, path.as_path())).collect();
+    estimate(all[0], &all[1..], limits)
+}
+
+fn estimated(files: &[(&str, &[u8])]) -> Estimate {
+    of(files, &Limits::default())
+}
+
+fn zip(files: &[(&str, &[u8])]) -> Vec<u8> {
+    let mut writer = ::zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, bytes) in files {
+        writer.start_file(*name, ::zip::write::SimpleFileOptions::default()).unwrap();
+        writer.write_all(bytes).unwrap();
+    }
+    writer.finish().unwrap().into_inner()
+}
+
+fn data_uri(bytes: &[u8]) -> String {
+    use base64::Engine;
+    format!("data:application/octet-stream;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes))
+}
+
+fn gltf(images: &Value, others: Value) -> Vec<u8> {
+    let mut json = json!({ "asset": { "version": "2.0" }, "images": images });
+    json.as_object_mut().unwrap().extend(others.as_object().unwrap().clone());
+    serde_json::to_vec(&json).unwrap()
+}
+
+#[test]
+fn samples_count_what_is_decoded_of_them() {
+    for name in ["textured", "two_materials", "strips", "scan"] {
+        let bytes = sample::sample(name).unwrap();
+        let (document, _) =
+            load(&[File { path: "m.glb".into(), bytes: bytes.clone() }], None, &Limits::default()).unwrap();
+        let images: Vec<_> = document.images.iter().flatten().map(|i| decode(i, u64::MAX).unwrap()).collect();
+        let texels: u64 = images.iter().map(|i| u64::from(i.width) * u64::from(i.height)).sum();
+        let held: usize = images
+            .iter()
+            .map(|i| match &i.samples {
+                Samples::U8(s) => s.len(),
+                Samples::U16(s) => 2 * s.len(),
+            })
+            .sum();
+        let found = estimated(&[("m.glb", &bytes)]);
+        assert_eq!(found.texels, texels, "{name}");
+        assert!(found.triangles > 10 && found.bytes > (held + bytes.len()) as u64, "{name}: {found:?}");
+    }
+}
+
+#[test]
+fn an_archive_needs_what_is_in_it_and_itself() {
+    let model = sample::sample("textured").unwrap();
+    let plain = estimated(&[("m.glb", &model)]);
+    let archive = zip(&[("a/m.glb", &model), ("a/readme.txt", b"hello")]);
+    let packed = estimated(&[("m.zip", &archive)]);
+    assert_eq!((packed.texels, packed.triangles), (plain.texels, plain.triangles));
+    assert!(packed.bytes >= plain.bytes + archive.len() as u64);
+    // A megabyte of zeros counts as one, however small it is packed and whatever it is declared to be.
+    let zeros = vec![0; 1 << 20];
+    let honest = zip(&[("m.glb", &model), ("zeros", &zeros)]);
+    let bytes = estimated(&[("m.zip", &honest)]).bytes;
+    assert!(honest.len() < archive.len() + 5000 && bytes >= packed.bytes + (1 << 20));
+    let declared = (zeros.len() as u32).to_le_bytes();
+    let places: Vec<usize> = (0..honest.len() - 4).filter(|at| honest[*at..at + 4] == declared).collect();
+    assert!(!places.is_empty());
+    let mut lying = honest.clone();
+    places.iter().for_each(|at| lying[*at..at + 4].copy_from_slice(&0x3000_0000u32.to_le_bytes()));
+    assert_eq!(estimated(&[("m.zip", &lying)]).bytes, bytes);
+}
+
+#[test]
+fn images_are_found_wherever_they_are() {
+    let [first, second, third] = [png(64, 32), png(16, 16), png(8, 128)];
+    // What begins as an image does would count as one itself.
+    let buffer = [&[0; 4], &first[..], &third[..]].concat();
+    let views = |uri: Option<&str>| {
+        let mut buffers = json!([{ "byteLength": buffer.len() }]);
+        if let Some(uri) = uri {
+            buffers[0]["uri"] = Value::from(uri);
+        }
+        let view = |offset: usize| json!({ "buffer": 0, "byteOffset": offset, "byteLength": 40 });
+        json!({ "buffers": buffers, "bufferViews": [view(4 + first.len()), view(4)] })
+    };
+    let inside = json!([{ "bufferView": 0 }, { "bufferView": 1 }]);
+    let (both, one) = (64 * 32 + 8 * 128, 16 * 16);
+    let texels = |files: &[(&str, &[u8])]| estimated(files).texels;
+
+    let beside = gltf(&json!([{ "uri": "t/a%20b.png" }, { "uri": data_uri(&second) }]), json!({}));
+    assert_eq!(texels(&[("m.gltf", &beside), ("t/a b.png", &first)]), 64 * 32 + one);
+    let in_bin = gltf(&inside, views(Some("x.bin")));
+    assert_eq!(texels(&[("m.gltf", &in_bin), ("x.bin", &buffer)]), both);
+    assert_eq!(texels(&[("m.zip", &zip(&[("m.gltf", &in_bin), ("x.bin", &buffer)]))]), both);
+    assert_eq!(texels(&[("m.gltf", &gltf(&inside, views(Some(&data_uri(&buffer)))))]), both);
+    assert_eq!(texels(&[("m.glb", &glb::build(gltf(&inside, views(None)), &buffer).unwrap())]), both);
+    // Behind the part of a string that is read at first.
+    let far = [vec![0; 200_000], first.clone()].concat();
+    let mut deep = views(Some(&data_uri(&far)));
+    deep["bufferViews"][0]["byteOffset"] = Value::from(200_000);
+    assert_eq!(texels(&[("m.gltf", &gltf(&json!([{ "bufferView": 0 }]), deep))]), 64 * 32);
+}
+
+#[test]
+fn a_header_that_lies_counts_up_to_the_limit() {
+    let mut file = png(4, 4);
+    file[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
+    let model = gltf(&json!([{ "uri": "a.png" }]), json!({}));
+    let limits = Limits { max_image_pixels: 1_000_000, ..Limits::default() };
+    let found = of(&[("m.gltf", &model), ("a.png", &file)], &limits);
+    assert_eq!(found.texels, 1_000_000);
+    assert!(found.bytes < 100_000_000);
+}
+
+#[test]
+fn triangles_are_counted_by_mode_and_up_to_the_limit() {
+    let parts = json!({
+        "accessors": [{ "count": 30 }, { "count": 12 }, { "count": 18446744073709551615u64 }],
+        "meshes": [{ "primitives": [
+            { "attributes": { "POSITION": 0 }, "indices": 1 },
+            { "attributes": { "POSITION": 0 }, "mode": 5 },
+            { "attributes": { "POSITION": 0 }, "mode": 1 },
+        ] }],
+        "nodes": [{ "mesh": 0 }, { "mesh": 0 }],
+    });
+    let model = gltf(&json!([]), parts.clone());
+    assert_eq!(estimated(&[("m.gltf", &model)]).triangles, 4 + 28);
+    let mut large = parts;
+    large["meshes"][0]["primitives"][0]["indices"] = Value::from(2);
+    let found = estimated(&[("m.gltf", &gltf(&json!([]), large))]);
+    assert_eq!(found.triangles, Limits::default().max_triangles);
+}
+
+#[test]
+fn faces_of_an_obj_are_counted() {
+    let text =
+        b"mtllib m.mtl\nv 0 0 0\nvt 0 0\n# f 1 2 3\nf 1 2 3\nf  1/1/1\t2 3 4 \r\nfoo 1 2 3\nf 1 2 \\\n 3 4 5\nf 1 2 3";
+    let image = png(32, 16);
+    let found = estimated(&[("m.obj", text), ("m.mtl", b"newmtl a\nmap_Kd a.png\n"), ("a.png", &image)]);
+    assert_eq!((found.triangles, found.texels), (1 + 2 + 3 + 1, 32 * 16));
+}
+
+#[test]
+fn what_is_cut_short_or_broken_counts_by_its_length() {
+    let model = sample::sample("two_materials").unwrap();
+    let archive = zip(&[("m.glb", &model)]);
+    let whole = estimated(&[("m.glb", &model)]);
+    for (name, bytes) in [("m.glb", &model), ("m.zip", &archive)] {
+        for end in (0..200).chain((200..bytes.len()).step_by(bytes.len() / 20)) {
+            let found = estimated(&[(name, &bytes[..end])]);
+            assert!(found.bytes >= end as u64 && found.bytes <= whole.bytes + bytes.len() as u64, "{name} {end}");
+        }
+    }
+    for bad in [&b"{"[..], b"[[[[", b"{\"images\": 3, \"meshes\": [{\"primitives\": {}}]}", b"glTF", b"PK\x03\x04"] {
+        assert_eq!(estimated(&[("m.gltf", bad)]).texels, 0);
+    }
+    let missing = Path::new("/nowhere/at/all");
+    assert_eq!(estimate(("m.glb", missing), &[], &Limits::default()).triangles, 0);
+    // As the loader takes it: the last of two keys counts, and what is of the wrong type is passed over.
+    let twice = br#"{"images": [], "extra": {"images": 1}, "images": [7, {"uri": 5}, {"uri": "a.png"}]}"#;
+    assert_eq!(estimated(&[("m.gltf", twice), ("a.png", &png(8, 8))]).texels, 64);
+}
