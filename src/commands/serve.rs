@@ -1,18 +1,23 @@
 //! `intarsia serve`: the HTTP service.
 
 use std::io::IsTerminal;
+use std::net::TcpListener;
 use std::time::Duration;
 
+use axum_server::accept::NoDelayAcceptor;
+use hyper_util::rt::TokioTimer;
 use intarsia::config::{LogFormat, Serve};
 use intarsia::error::{Code, Failure, Result};
 use intarsia::http::App;
 use intarsia::http::router::router;
 use intarsia::jobs::Jobs;
-use tokio::net::TcpListener;
 use tokio::time::timeout;
 
 /// How long, beyond the grace of running jobs, requests and jobs may take to end when the service is told to stop.
 const PATIENCE: Duration = Duration::from_secs(10);
+
+/// How long the head of a request may take.
+const HEADERS: Duration = Duration::from_secs(20);
 
 /// Serves until it is told to stop (SIGINT, SIGTERM). The running job then goes back to the queue.
 pub fn run(arguments: &Serve) -> Result<()> {
@@ -37,8 +42,14 @@ async fn serve(arguments: &Serve) -> Result<()> {
     let service = router(App::new(jobs.clone(), arguments.list_jobs), &arguments.allow_origin)?;
     let failed =
         |e: std::io::Error| Failure::new(Code::InvalidRequest, format!("cannot listen on {}: {e}", arguments.listen));
-    let listener = TcpListener::bind(arguments.listen).await.map_err(failed)?;
+    let listener = TcpListener::bind(arguments.listen).map_err(failed)?;
+    listener.set_nonblocking(true).map_err(failed)?;
     let address = listener.local_addr().map_err(failed)?;
+    let handle = axum_server::Handle::new();
+    let mut server =
+        axum_server::from_tcp(listener).map_err(failed)?.acceptor(NoDelayAcceptor::new()).handle(handle.clone());
+    // Half a request holds its connection only for a while.
+    server.http_builder().http1().timer(TokioTimer::new()).header_read_timeout(HEADERS);
     let worker = tokio::spawn(jobs.clone().work());
     let upkeep = tokio::spawn(jobs.clone().keep());
     super::print(&format!("listening on http://{address}\n"))?;
@@ -49,10 +60,7 @@ async fn serve(arguments: &Serve) -> Result<()> {
         tracing::info!("stopping");
         shutdown.cancel();
     });
-    let shutdown = jobs.shutdown.clone();
-    let server = tokio::spawn(async move {
-        axum::serve(listener, service).with_graceful_shutdown(async move { shutdown.cancelled().await }).await
-    });
+    let server = tokio::spawn(server.serve(service.into_make_service()));
     jobs.shutdown.cancelled().await;
     // Whatever does not end in time is cut off: the queue is made for that.
     let _ =

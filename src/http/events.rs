@@ -35,7 +35,7 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
         ("Last-Event-ID" = Option<String>, Header, description = "The last event that the client has")),
     responses(
         (status = 200, description = "`snapshot` and `state` carry the job, `progress` its progress, `warning` one warning",
-            content_type = "text/event-stream", body = String),
+            content_type = "text/event-stream", body = serde_json::Value),
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn follow(
     State(app): State<App>,

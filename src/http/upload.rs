@@ -6,10 +6,10 @@ use axum::http::{HeaderMap, header};
 use futures_util::{Stream, StreamExt};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::io::AsyncWriteExt;
 use tokio::runtime::Handle;
 use tokio::sync::SemaphorePermit;
@@ -19,6 +19,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::door;
 use super::problem::{Answer, Problem};
+use crate::asset::estimate;
 use crate::error::{Code, Failure};
 use crate::jobs::files::{Manifest, Stored, disk};
 use crate::jobs::queue::NewJob;
@@ -31,6 +32,8 @@ pub(super) const MAX_OPTIONS_BYTES: usize = 1 << 20;
 /// How much of a refused request is still read, and for how long.
 const DRAINED_BYTES: usize = 32 << 20;
 const DRAINED_TIME: Duration = Duration::from_secs(3);
+/// Bytes a second that an upload must bring on average, once it has lasted for as long as it may stand still.
+const MIN_RATE: f64 = 1024.0;
 /// Bytes of an Idempotency-Key.
 const MAX_KEY_BYTES: usize = 255;
 /// Bytes of a file's relative path.
@@ -231,6 +234,7 @@ struct Incoming<'a> {
     folder: PathBuf,
     manifest: Manifest,
     bytes: u64,
+    started: Instant,
     taken: bool,
 }
 
@@ -239,7 +243,7 @@ impl<'a> Incoming<'a> {
         let id = new_id()?;
         let folder = app.jobs.files.incoming(&id);
         tokio::fs::create_dir_all(&folder).await.map_err(|e| disk(&folder, &e))?;
-        Ok(Incoming { app, id, folder, manifest: Manifest::default(), bytes: 0, taken: false })
+        Ok(Incoming { app, id, folder, manifest: Manifest::default(), bytes: 0, started: Instant::now(), taken: false })
     }
 
     /// Streams one file to the disk.
@@ -264,6 +268,7 @@ impl<'a> Incoming<'a> {
             if self.bytes > limits.max_upload {
                 return Err(too_large(limits.max_upload));
             }
+            self.keep_up()?;
             hash.update(&chunk);
             file.write_all(&chunk).await.map_err(failed)?;
         }
@@ -296,9 +301,31 @@ impl<'a> Incoming<'a> {
         Ok(())
     }
 
-    /// Bytes that the job is expected to need.
+    /// Bytes that the job is expected to need, by the headers of its files.
     async fn memory(&self) -> Answer<u64> {
-        Ok(0)
+        let (folder, manifest, limits) = (self.folder.clone(), self.manifest.clone(), self.app.jobs.limits.asset());
+        let told = tokio::task::spawn_blocking(move || {
+            let at = |stored: &Stored| folder.join(stored.number.to_string());
+            let files: Vec<(&str, PathBuf)> = manifest.files.iter().map(|f| (f.path.as_str(), at(f))).collect();
+            let files: Vec<(&str, &Path)> = files.iter().map(|(name, path)| (*name, path.as_path())).collect();
+            let bytes = |model: &Stored| estimate((&model.path, &at(model)), &files, &limits).bytes;
+            manifest.models.iter().map(bytes).fold(0, u64::saturating_add)
+        });
+        let bytes = told.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))?;
+        let most = self.app.jobs.slots.memory();
+        if bytes > most {
+            let detail =
+                format!("the job would need about {bytes} bytes of memory; this service has {most} for all jobs");
+            return Err(Problem::new(Code::TooLarge, detail));
+        }
+        Ok(bytes)
+    }
+
+    /// Refuses an upload that is so slow that it would only hold its place.
+    fn keep_up(&self) -> Answer<()> {
+        let took = self.started.elapsed();
+        let slow = took > self.app.jobs.limits.upload_idle && (self.bytes as f64) < MIN_RATE * took.as_secs_f64();
+        if slow { Err(stalled()) } else { Ok(()) }
     }
 
     /// What tells this request from others: its options, and its files by name and contents.

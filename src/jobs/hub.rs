@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::queue::Standing;
+use super::queue::{AHEAD, Standing};
 use super::record::State;
 use crate::context::{Listener, Progress};
 use crate::error::Warning;
@@ -78,7 +78,7 @@ impl Hub {
             }
             None => watch::Sender::new(live),
         };
-        Arc::new(Reporter { live: sender, stop, floor })
+        Arc::new(Reporter { live: sender, stop, ahead: Notify::new(), floor, stored: Mutex::new(floor) })
     }
 
     /// Registers that a job goes back to the queue.
@@ -118,7 +118,11 @@ pub struct Reporter {
     live: watch::Sender<Live>,
     /// Says that the attempt shall stop.
     pub stop: Stop,
+    /// Told when the fraction would run too far ahead of what is stored.
+    pub ahead: Notify,
     floor: f64,
+    /// The fraction that the queue knows.
+    stored: Mutex<f64>,
 }
 
 impl Reporter {
@@ -128,11 +132,22 @@ impl Reporter {
     }
 }
 
+impl Reporter {
+    /// Notes that the queue knows this fraction.
+    pub fn stored(&self, fraction: f64) {
+        *self.stored.lock().unwrap_or_else(PoisonError::into_inner) = fraction;
+    }
+}
+
 impl Listener for Reporter {
     fn progress(&self, progress: &Progress) {
+        let most = *self.stored.lock().unwrap_or_else(PoisonError::into_inner) + AHEAD;
+        if progress.fraction > most {
+            self.ahead.notify_one();
+        }
         self.live.send_if_modified(|live| {
             let old = &live.now.progress;
-            let fraction = progress.fraction.max(self.floor).max(old.fraction).min(1.0);
+            let fraction = progress.fraction.min(most).max(self.floor).max(old.fraction).min(1.0);
             let moved = fraction - old.fraction >= STEP || (fraction >= 1.0 && old.fraction < 1.0);
             let told = progress.stage != old.stage || progress.message != old.message;
             if !(moved || told) {
@@ -166,10 +181,17 @@ mod tests {
         reporter.progress(&at(0.1));
         assert!(!follower.has_changed().unwrap());
         assert_eq!(reporter.now().progress.fraction, 0.4);
+        reporter.stored(0.4);
         reporter.progress(&at(0.5));
         assert!(follower.has_changed().unwrap());
         reporter.progress(&at(0.45));
         assert_eq!(follower.borrow_and_update().now.progress.fraction, 0.5);
+        // What is not stored is not told: it would be lost with the process.
+        reporter.progress(&at(0.9));
+        assert_eq!(reporter.now().progress.fraction, 0.4 + AHEAD);
+        reporter.stored(0.6);
+        reporter.progress(&at(0.9));
+        assert_eq!(reporter.now().progress.fraction, 0.6 + AHEAD);
     }
 
     #[test]

@@ -26,9 +26,9 @@ const BEATS: u32 = 15;
 /// How often the queue is looked at without being woken: other processes may fill it.
 const POLL: Duration = Duration::from_secs(1);
 /// How often upkeep is done.
-const TIDY: Duration = Duration::from_secs(15);
+const TIDY: Duration = Duration::from_secs(5);
 /// Every so many rounds of upkeep, files that belong to no job are looked for.
-const SWEEP: u32 = 240;
+const SWEEP: u32 = 720;
 /// Work that was told to stop and has not by then is left to itself: its result will not count.
 const LATE: Duration = Duration::from_millis(700);
 
@@ -109,10 +109,13 @@ impl Jobs {
             };
             tokio::select! {
                 computed = &mut result => break computed.unwrap_or_else(|_| Computed::failed(Failure::internal("the computation was lost"))),
-                _ = ticks.tick() => {
-                    // A queue that fails for a moment is no reason to stop: the fence protects the result.
-                    if let Ok(Beat::Cancel | Beat::Lost) = self.queue.beat(&claim, self.lease, &reporter.now()).await {
-                        reporter.stop.now();
+                () = async { tokio::select! { _ = ticks.tick() => {}, () = reporter.ahead.notified() => {} } } => {
+                    let now = reporter.now();
+                    match self.queue.beat(&claim, self.lease, &now).await {
+                        Ok(Beat::Cancel | Beat::Lost) => reporter.stop.now(),
+                        Ok(Beat::Held) => reporter.stored(now.progress.fraction),
+                        // A queue that fails for a moment is no reason to stop: the fence protects the result.
+                        Err(_) => {}
                     }
                 }
                 () = reporter.stop.token.cancelled(), if late.is_none() && hand_back.is_none() => {
@@ -186,6 +189,9 @@ fn ended(reporter: &Reporter, computed: Computed) -> End {
     let Computed { result, warnings, timings } = computed;
     let mut standing = reporter.now();
     standing.warnings = warnings.unwrap_or(standing.warnings);
+    if result.is_ok() {
+        standing.progress.fraction = 1.0;
+    }
     let end = |state, error, artifacts| End { state, error, artifacts, standing, timings };
     match result {
         Ok((artifacts, failures)) if failures.is_empty() => end(State::Succeeded, None, artifacts),

@@ -45,6 +45,7 @@ const PRESETS: &[&str] = &["scan", "scan_tight", "fabrication"];
 
 /// One thing that is wrong with the options.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
+#[schema(as = Wrong)]
 pub struct Problem {
     /// JSON pointer into the options.
     pub pointer: String,
@@ -221,7 +222,12 @@ fn requirements(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> BT
         let requirement: Requirement = section(bounds, &at, problems);
         let bounds = [requirement.min, requirement.max, requirement.min_gain, requirement.max_ratio];
         if problems.len() == before && bounds.iter().all(Option::is_none) {
-            problems.push(Problem::new(at, "a requirement has at least one of min, max, min_gain and max_ratio"));
+            problems.push(Problem::new(&at, "a requirement has at least one of min, max, min_gain and max_ratio"));
+        }
+        if problems.len() == before
+            && let Err(failure) = crate::metrics::check_path(path)
+        {
+            problems.push(Problem::new(at, failure.message));
         }
         out.insert(path.clone(), requirement);
     }

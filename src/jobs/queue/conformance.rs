@@ -235,6 +235,9 @@ async fn what_a_job_was_told_is_kept(queue: &impl Queue) {
     queue.beat(&claim, LEASE, &now).await.unwrap();
     let job = queue.get("j").await.unwrap().unwrap();
     assert_eq!((job.progress, job.stages, job.warnings), (now.progress, now.stages, now.warnings));
+    queue.recover(Some("w")).await.unwrap();
+    let job = queue.get("j").await.unwrap().unwrap();
+    assert_eq!((job.state, job.progress.fraction), (State::Queued, 0.25 + AHEAD));
 }
 
 async fn pages_hold_every_job_once(queue: &impl Queue) {

@@ -22,6 +22,10 @@ use crate::error::{Code, Failure, Result, Warning};
 /// Attempts that may die before a job is given up: one that kills its worker twice does so always.
 pub const MAX_DEATHS: u32 = 2;
 
+/// How far the fraction that users see may be ahead of what is stored: when a worker dies, its job goes on from there, so that the
+/// fraction never falls.
+pub const AHEAD: f64 = 0.2;
+
 /// A durable queue of jobs. Every method fails with `internal` when the backend does.
 #[async_trait]
 pub trait Queue: Send + Sync {
@@ -63,7 +67,7 @@ pub trait Queue: Send + Sync {
     async fn delete(&self, id: &str) -> Result<bool>;
 
     /// Takes back the running jobs of `owner`, if one is named, and those whose lease ran out. Returns them with their new states:
-    /// queued, behind all that wait, or final after [`MAX_DEATHS`].
+    /// queued, behind all that wait and [`AHEAD`] of what was stored, or final after [`MAX_DEATHS`].
     async fn recover(&self, owner: Option<&str>) -> Result<Vec<(String, State)>>;
 
     /// The workers that hold jobs.

@@ -5,7 +5,6 @@ use serde_json::Value;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use crate::context::Progress;
 use crate::error::{Failure, Result};
 use crate::jobs::record::{Job, Moment, State};
 
@@ -30,14 +29,13 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
     let state: String = row.try_get("state")?;
     let position: Option<i64> = row.try_get("position")?;
     let error: Option<String> = row.try_get("error")?;
-    let progress: String = row.try_get("progress")?;
     Ok(Job {
         id: row.try_get("id")?,
         state: State::from_name(&state).ok_or_else(|| Failure::internal("the job queue holds a broken state"))?,
         recipe: options.get("recipe").cloned().unwrap_or_default(),
         metadata: options.get("metadata").cloned().unwrap_or_default(),
         options,
-        progress: if progress == "{}" { Progress::default() } else { parsed(row, "progress")? },
+        progress: parsed(row, "progress")?,
         queue_position: position.and_then(|p| u64::try_from(p).ok()),
         attempt: row.try_get("attempt")?,
         created_at: Moment(row.try_get("created_at")?),

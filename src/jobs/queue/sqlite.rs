@@ -12,8 +12,8 @@ use sqlx::{AssertSqlSafe, Row};
 
 use super::rows::{job, json, parsed, states};
 use super::{
-    Beat, Canceled, Claim, End, MAX_DEATHS, NewJob, Queue, Remove, Room, Standing, Submitted, canceled, given_up,
-    mismatch, queue_full,
+    AHEAD, Beat, Canceled, Claim, End, MAX_DEATHS, NewJob, Queue, Remove, Room, Standing, Submitted, canceled,
+    given_up, mismatch, queue_full,
 };
 use crate::context::Progress;
 use crate::error::{Failure, Result};
@@ -70,8 +70,8 @@ impl Queue for Sqlite {
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted> {
         let (key, fingerprint) = job.key.as_ref().map(|(k, f)| (k.as_str(), f.as_str())).unzip();
         let done = sqlx::query(
-            "INSERT INTO jobs (id, state, turn, options, inputs, memory, key, fingerprint, request, created_at, queued_at)
-             SELECT ?1, 'queued', (SELECT coalesce(max(turn), 0) + 1 FROM jobs WHERE state = 'queued'), ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8
+            "INSERT INTO jobs (id, state, turn, options, inputs, memory, key, fingerprint, request, created_at, queued_at, progress)
+             SELECT ?1, 'queued', (SELECT coalesce(max(turn), 0) + 1 FROM jobs WHERE state = 'queued'), ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8, ?10
              WHERE (SELECT count(*) FROM jobs WHERE state = 'queued') < ?9
              ON CONFLICT (key) DO NOTHING",
         )
@@ -84,6 +84,7 @@ impl Queue for Sqlite {
         .bind(&job.request)
         .bind(Moment::now().0)
         .bind(most)
+        .bind(json(&Progress::default())?)
         .execute(&self.pool)
         .await?;
         if done.rows_affected() > 0 {
@@ -271,6 +272,7 @@ impl Queue for Sqlite {
         let rows = sqlx::query(
             "UPDATE jobs SET deaths = deaths + 1, owner = NULL, lease_until = NULL, queued_at = ?3,
                turn = (SELECT coalesce(max(turn), 0) + 1 FROM jobs),
+               progress = json_set(progress, '$.fraction', min(0.99, json_extract(progress, '$.fraction') + ?6)),
                state = CASE WHEN cancel_requested THEN 'canceled' WHEN deaths + 1 >= ?2 THEN 'failed' ELSE 'queued' END,
                finished_at = CASE WHEN cancel_requested OR deaths + 1 >= ?2 THEN ?3 END,
                error = CASE WHEN cancel_requested THEN ?5 WHEN deaths + 1 >= ?2 THEN ?4 END
@@ -281,6 +283,7 @@ impl Queue for Sqlite {
         .bind(Moment::now().0)
         .bind(json(&given_up())?)
         .bind(json(&canceled())?)
+        .bind(AHEAD)
         .fetch_all(&self.pool)
         .await?;
         states(&rows)

@@ -20,7 +20,7 @@ CREATE TABLE jobs (
   finished_at INTEGER,
   artifacts_expire_at INTEGER,
   artifacts_removed INTEGER NOT NULL DEFAULT 0,
-  progress TEXT NOT NULL DEFAULT '{}',       -- JSON, as are the following
+  progress TEXT NOT NULL,                    -- JSON, as are the following
   stages TEXT NOT NULL DEFAULT '[]',
   timings TEXT NOT NULL DEFAULT '[]',
   warnings TEXT NOT NULL DEFAULT '[]',

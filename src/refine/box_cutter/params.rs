@@ -92,6 +92,7 @@ pub enum Cuts {
 /// How cuts are searched for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[schema(as = CutSearch)]
 pub enum Search {
     /// Several of the best states are carried on at each step.
     Beam,

@@ -89,6 +89,7 @@ impl Defrag {
 /// How merges are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[schema(as = MergeSearch)]
 pub enum Search {
     /// Where a whole seam cannot be dissolved, parts of it are; charts that keep their texels are not deformed where the other side
     /// can be.
