@@ -1,6 +1,6 @@
 //! From what headers declare to bytes of memory.
 //!
-//! The factors are upper bounds fitted to measured peaks of resident memory: 25 scans, PBR models and surfaces without images, with up to
+//! The factors are upper bounds fitted to measured peaks of resident memory: 35 scans, PBR models and surfaces without images, with up to
 //! 200,000 triangles and images of up to 67 million texels (PNG of 8 and 16 bits, JPEG, KTX2), refined by `pack` and `scan`, up to
 //! 53,000 triangles by `box_cutter`, some with pictures. The estimates are above all of them, and within 2.5 times those over 100 MB. Not in
 //! them: sheets that options make larger than the input's, and `atlas.merge`, where images of one role are decoded together.
@@ -9,8 +9,8 @@ use super::super::limits::Limits;
 use super::Estimate;
 use crate::texture::Header;
 
-/// What the process takes before it reads anything, and what searches and pictures of small models take.
-const BASE: f64 = 64e6;
+/// What the process takes before it reads anything, and what pictures and searches of the smallest models take.
+const BASE: f64 = 90e6;
 /// Of a byte of the files: they are held as they came.
 const FILE: f64 = 1.0;
 /// Of a byte of the buffers and encoded images that a document gathers: there, in the refined document and among the results.
