@@ -48,6 +48,7 @@ async fn serve(arguments: &Serve) -> Result<()> {
     let handle = axum_server::Handle::new();
     let mut server =
         axum_server::from_tcp(listener).map_err(failed)?.acceptor(NoDelayAcceptor::new()).handle(handle.clone());
+    server = server.first_request_timeout(HEADERS);
     // Half a request holds its connection only for a while.
     server.http_builder().http1().timer(TokioTimer::new()).header_read_timeout(HEADERS);
     let worker = tokio::spawn(jobs.clone().work());
@@ -63,8 +64,9 @@ async fn serve(arguments: &Serve) -> Result<()> {
     let server = tokio::spawn(server.serve(service.into_make_service()));
     jobs.shutdown.cancelled().await;
     // Whatever does not end in time is cut off: the queue is made for that.
-    let _ =
-        timeout(arguments.work.grace.saturating_add(PATIENCE), async { tokio::join!(worker, upkeep, server) }).await;
+    let limit = arguments.work.grace.saturating_add(PATIENCE);
+    handle.graceful_shutdown(Some(limit));
+    let _ = timeout(limit, async { tokio::join!(worker, upkeep, server) }).await;
     Ok(())
 }
 

@@ -28,12 +28,12 @@ const CHUNK: usize = 128 << 10;
         ("If-None-Match" = Option<String>, Header, description = "ETags that the client has")),
     responses(
         (status = 200, description = "The bytes", content(
-            (Vec<u8> = "application/octet-stream"), (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "model/gltf+json"),
-            (Vec<u8> = "application/json"), (Vec<u8> = "application/zip"), (Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"),
+            (Vec<u8> = "application/octet-stream"), (Vec<u8> = "model/gltf-binary"), (serde_json::Value = "model/gltf+json"),
+            (serde_json::Value = "application/json"), (Vec<u8> = "application/zip"), (Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"),
             (Vec<u8> = "image/webp"), (Vec<u8> = "image/svg+xml"))),
         (status = 206, description = "The bytes of the range", content(
-            (Vec<u8> = "application/octet-stream"), (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "model/gltf+json"),
-            (Vec<u8> = "application/json"), (Vec<u8> = "application/zip"), (Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"),
+            (Vec<u8> = "application/octet-stream"), (Vec<u8> = "model/gltf-binary"), (serde_json::Value = "model/gltf+json"),
+            (serde_json::Value = "application/json"), (Vec<u8> = "application/zip"), (Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"),
             (Vec<u8> = "image/webp"), (Vec<u8> = "image/svg+xml"))),
         (status = 304, description = "The client has it"),
         (status = 404, description = "No such job or artifact", body = Problem, content_type = "application/problem+json"),

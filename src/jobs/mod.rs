@@ -8,6 +8,7 @@ pub mod hub;
 pub mod queue;
 pub mod record;
 pub mod slots;
+mod system;
 mod upkeep;
 mod worker;
 

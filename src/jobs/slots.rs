@@ -5,14 +5,15 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use rayon::ThreadPool;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::Notify;
 
 use super::queue::Room;
+use super::system;
 use crate::error::{Failure, Result};
 
 /// Jobs that are expected to need more than this many bytes are large: one slot stays free of them.
-const SMALL: u64 = 128 << 20;
+const SMALL: u64 = 160 << 20;
 /// A job for which there is no room is overtaken by smaller ones for so long.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -45,7 +46,9 @@ impl Slots {
     /// # Errors
     /// `internal` when the system has no threads to give.
     pub fn new(count: usize, threads: usize, memory: u64) -> Result<Arc<Self>> {
-        let idle = (0..count.max(1)).map(|_| pool(threads).map(Arc::new)).collect::<Result<Vec<_>>>()?;
+        let idle = (0..count.max(1))
+            .map(|_| built(builder(threads).start_handler(|_| system::step_back())).map(Arc::new))
+            .collect::<Result<Vec<_>>>()?;
         let threads = idle.first().map_or(1, |pool| pool.current_num_threads());
         let (count, freed) = (idle.len(), Notify::new());
         Ok(Arc::new(Slots { state: Mutex::new(Taken { idle, memory: 0, large: 0 }), threads, count, memory, freed }))
@@ -106,6 +109,7 @@ impl Slot {
         let pool = self.pool.clone();
         pool.spawn(move || {
             work();
+            system::give_memory_back();
             drop(self);
         });
     }
@@ -127,12 +131,15 @@ impl Drop for Slot {
 /// # Errors
 /// `internal` when the system has no threads to give.
 pub fn pool(threads: usize) -> Result<ThreadPool> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .thread_name(|i| format!("compute-{i}"))
-        .stack_size(8 << 20)
-        .build()
-        .map_err(|e| Failure::internal(format!("no threads: {e}")))
+    built(builder(threads))
+}
+
+fn builder(threads: usize) -> ThreadPoolBuilder {
+    ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("compute-{i}")).stack_size(8 << 20)
+}
+
+fn built(builder: ThreadPoolBuilder) -> Result<ThreadPool> {
+    builder.build().map_err(|e| Failure::internal(format!("no threads: {e}")))
 }
 
 #[cfg(test)]

@@ -5,12 +5,17 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::server::{Form, Server, artifact, header, json, left};
+use crate::server::{Form, Server, artifact, json, left};
 
 /// A scan that takes some seconds.
 fn long() -> Form {
     let scan = intarsia::asset::sample::sample("scan_10000").unwrap();
     Form::default().file("model", "scan.glb", &scan).text("options", r#"{"recipe": "scan"}"#)
+}
+
+fn number(server: &Server, state: &str) -> usize {
+    let page = json(&mut server.get(&format!("/v1/jobs?limit=200&state={state}"), &[]));
+    page["jobs"].as_array().unwrap().len()
 }
 
 fn running(job: &Value) -> bool {
@@ -20,13 +25,19 @@ fn running(job: &Value) -> bool {
 #[test]
 fn jobs_survive_the_death_of_the_process_and_leave_nothing_else() {
     let data = tempfile::tempdir().unwrap();
-    let mut server = Server::start(data.path(), &[]);
-    let paths: Vec<String> = (0..24).map(|_| server.accepted(&Form::sample())).collect();
-    for done in [2, 6] {
-        // While at least one runs, and others wait.
-        server.wait(&paths[done]);
+    let start = || Server::start(data.path(), &["--list-jobs"]);
+    let mut server = start();
+    let paths: Vec<String> = (0..40).map(|_| server.accepted(&Form::sample())).collect();
+    for _ in 0..2 {
+        // While at least one runs, and many wait: what died with the process waits behind them.
+        let started = Instant::now();
+        let before = number(&server, "succeeded");
+        while number(&server, "succeeded") < before + 3 || number(&server, "running") == 0 {
+            assert!(started.elapsed() < Duration::from_secs(60));
+        }
+        assert!(number(&server, "queued") >= 10);
         server.kill();
-        server = Server::start(data.path(), &[]);
+        server = start();
     }
     let mut objects = BTreeSet::new();
     for path in &paths {
@@ -89,12 +100,24 @@ fn a_service_that_is_told_to_stop_hands_its_job_back() {
 }
 
 #[test]
-fn small_jobs_do_not_wait_for_large_ones() {
+fn jobs_run_beside_each_other_and_small_ones_do_not_wait_for_large_ones() {
     let data = tempfile::tempdir().unwrap();
-    let server = Server::start(data.path(), &["--memory", "64MB"]);
-    let limits = json(&mut server.get("/v1/limits", &[]));
-    assert_eq!(limits["memory_bytes"], 64_000_000);
-    let response = server.submit(&Form::sample());
-    let job = server.wait(header(&response, "location"));
-    assert_eq!(job["state"], "succeeded");
+    let server = Server::start(data.path(), &["--jobs", "2", "--list-jobs"]);
+    let large: Vec<String> = (0..3).map(|_| server.accepted(&long())).collect();
+    server.until(&large[0], running);
+    let small = server.wait(&server.accepted(&Form::sample()));
+    assert_eq!(small["state"], "succeeded");
+    assert_eq!((number(&server, "running"), number(&server, "queued")), (1, 2), "the others had no part in it");
+    large.iter().for_each(|path| drop(server.delete(path)));
+}
+
+#[test]
+fn what_needs_more_memory_than_there_is_is_refused() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &["--memory", "200MB"]);
+    assert_eq!(json(&mut server.get("/v1/limits", &[]))["memory_bytes"], 200_000_000);
+    let mut refused = server.submit(&long());
+    assert_eq!((refused.status().as_u16(), &json(&mut refused)["code"]), (413, &json!("too_large")));
+    assert_eq!(left(data.path()), [] as [String; 0]);
+    assert_eq!(server.wait(&server.accepted(&Form::sample()))["state"], "succeeded");
 }
