@@ -16,8 +16,8 @@ use tokio::time::timeout;
 /// How long, beyond the grace of running jobs, requests and jobs may take to end when the service is told to stop.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// How long the head of a request may take.
-const HEADERS: Duration = Duration::from_secs(20);
+/// How long the head of a request may take, and a connection may wait for the next one.
+const HEADERS: Duration = Duration::from_secs(60);
 
 /// Serves until it is told to stop (SIGINT, SIGTERM). The running job then goes back to the queue.
 pub fn run(arguments: &Serve) -> Result<()> {

@@ -22,7 +22,7 @@ const RETRY_AFTER: HeaderValue = HeaderValue::from_static("1");
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs",
     params(("recipe" = Option<String>, Query, description = "With a raw model: a preset, or stages joined by commas"),
         ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
-        ("Idempotency-Key" = Option<String>, Header,
+        ("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255,
             description = "The client's name for this request: sent again under it, it is answered with the job that it made"),
         ("X-Request-Id" = Option<String>, Header, description = "Stands in the logs beside everything that the job does")),
     request_body(content(
