@@ -55,9 +55,9 @@ pub(super) struct Submission {
 
 /// Receives a submission and stores it as a job; true when it was known, by its key.
 pub(super) async fn receive(app: &App, request: Request) -> Answer<(Job, bool)> {
-    let key = key(request.headers())?;
     let request_id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).map(cut);
     let request = request.map(|body| Body::from_stream(Drained(Some(body.into_data_stream()))));
+    let key = key(request.headers())?;
     let _permit = admit(app, request.headers()).await?;
     let mut incoming = Incoming::new(app).await?;
     let media_type = media_type(request.headers());

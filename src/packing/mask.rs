@@ -25,6 +25,7 @@ impl Mask {
 
     /// The cells that triangles touch, in cell units with the origin at cell (0, 0). Everything must lie
     /// inside `width` x `height`; what does not is clipped.
+    #[cfg(test)]
     pub fn of_triangles(triangles: &[[DVec2; 3]], width: usize, height: usize) -> Self {
         let mut mask = Mask::new(width, height);
         for triangle in triangles {
@@ -172,6 +173,12 @@ fn next_bit(line: &[u64], from: usize, value: bool) -> Option<usize> {
         i += 1;
         word = *line.get(i)? ^ flip;
     }
+}
+
+/// Whether both coordinates lie on the same border between cells.
+pub(super) fn on_border(a: f64, b: f64) -> bool {
+    let nearest = a.round();
+    (a - nearest).abs() < ON_BORDER && (b - nearest).abs() < ON_BORDER
 }
 
 /// The cells that the interval touches, clipped to `0..count`.

@@ -11,6 +11,7 @@ mod guided;
 mod mask;
 mod occupancy;
 mod orientation;
+mod outline;
 mod random;
 mod search;
 mod shape;

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::mask::Mask;
 use super::occupancy::{Pitch, Probe};
 use super::orientation::Orientation;
+use super::outline::Outline;
 use super::search::MANY;
 use super::{Piece, Spacing};
 
@@ -43,6 +44,7 @@ impl Shapes {
     /// Rasterises every piece in every orientation, scaled by `scale`, for strips up to `widest` texels wide.
     pub fn new(
         pieces: &[Piece],
+        outlines: &[Outline],
         orientations: &[Vec<Orientation>],
         cell: f64,
         scale: f64,
@@ -54,11 +56,17 @@ impl Shapes {
         let stride = spacing.lattice.map_or(1, |l| ((l / cell).round() as usize).max(1));
         let masks: Vec<Vec<(Mask, DVec2, DMat2)>> = pieces
             .par_iter()
+            .zip(outlines)
             .zip(orientations)
-            .map(|(piece, own)| {
+            .map(|((piece, outline), own)| {
                 // What is resampled need not keep whole texels.
-                let on_lattice = spacing.lattice.is_some() && !piece.free;
-                own.iter().map(|o| raster(piece, o.matrix() * scale, cell, stride, on_lattice)).collect()
+                let lattice = (spacing.lattice.is_some() && !piece.free).then_some(stride);
+                let raster = |o: &Orientation| {
+                    let linear = o.matrix() * scale;
+                    let (mask, anchor) = outline.raster(linear, cell, lattice);
+                    (mask, anchor, linear)
+                };
+                own.par_iter().map(raster).collect()
             })
             .collect();
         let longest_run = masks.iter().flatten().map(|(mask, ..)| mask.width + 2 * gutter).max().unwrap_or(1);
@@ -75,27 +83,6 @@ impl Shapes {
             .collect();
         Shapes { cell, gutter, of_piece, pitch }
     }
-}
-
-/// The mask of a piece, its anchor, and the linear map again.
-fn raster(piece: &Piece, linear: DMat2, cell: f64, stride: usize, on_lattice: bool) -> (Mask, DVec2, DMat2) {
-    let mut low = DVec2::INFINITY;
-    let mut high = DVec2::NEG_INFINITY;
-    let mut turned: Vec<[DVec2; 3]> = piece.triangles.iter().map(|t| t.map(|p| linear * p)).collect();
-    for p in turned.iter().flatten() {
-        low = low.min(*p);
-        high = high.max(*p);
-    }
-    if !low.is_finite() {
-        (low, high) = (DVec2::ZERO, DVec2::ZERO);
-    }
-    let (anchor, [width, height]) = frame(low, high, cell, on_lattice.then_some(stride));
-    for t in &mut turned {
-        for p in t {
-            *p = (*p - anchor) / cell;
-        }
-    }
-    (Mask::of_triangles(&turned, width, height), anchor, linear)
 }
 
 /// Where the mask of a piece between these corners starts (texels), and its sides in cells.

@@ -43,43 +43,72 @@ impl<const C: usize> Field<C> {
 
     /// Fits the free texels.
     pub(crate) fn fit(&mut self) {
+        let runs = self.runs();
         let mut differences = vec![[[0.0; C]; 4]; self.targets.len()];
+        let mut moved: Vec<[f32; C]> = Vec::with_capacity(runs.iter().map(ExactSizeIterator::len).sum());
         for _ in 0..STEPS {
-            for (i, target) in self.target_of.iter().enumerate() {
-                let Some(points) = self.targets.get(*target as usize) else { continue };
-                differences[*target as usize] = std::array::from_fn(|k| {
-                    let shown = self.shown(i, k);
-                    std::array::from_fn(|c| points[k][c] - shown[c])
-                });
+            for i in runs.iter().cloned().flatten() {
+                let target = self.target_of[i] as usize;
+                let Some(points) = self.targets.get(target) else { continue };
+                let ways = self.ways(i);
+                for (k, point) in points.iter().enumerate() {
+                    let shown = self.shown(i, ways[k]);
+                    for c in 0..C {
+                        differences[target][k][c] = point[c] - shown[c];
+                    }
+                }
             }
-            self.values = (0..self.values.len())
-                .map(|i| if self.free[i] { self.moved(i, &differences) } else { self.values[i] })
-                .collect();
+            moved.extend(runs.iter().cloned().flatten().map(|i| self.moved(i, &differences)));
+            for (i, value) in runs.iter().cloned().flatten().zip(moved.drain(..)) {
+                self.values[i] = value;
+            }
         }
     }
 
-    /// The texels next to `i` in the direction of point `k`: across, down, and both; edges repeat.
-    fn neighbours(&self, i: usize, k: usize) -> [usize; 3] {
-        let (x, rows) = (i % self.width, self.values.len() / self.width);
-        let across =
-            if k.is_multiple_of(2) { usize::from(x > 0).wrapping_neg() } else { usize::from(x + 1 < self.width) };
-        let y = i / self.width;
-        let down = match (k / 2, y) {
-            (0, 0) => 0,
-            (0, _) => self.width.wrapping_neg(),
-            (_, y) if y + 1 < rows => self.width,
-            _ => 0,
-        };
-        [i.wrapping_add(across), i.wrapping_add(down), i.wrapping_add(across).wrapping_add(down)]
+    /// The free texels, in runs of a row.
+    fn runs(&self) -> Vec<std::ops::Range<usize>> {
+        let mut runs = Vec::new();
+        for (y, row) in self.free.chunks(self.width).enumerate() {
+            let mut x = 0;
+            for run in row.chunk_by(|a, b| a == b) {
+                let start = y * self.width + x;
+                x += run.len();
+                if run[0] {
+                    runs.push(start..start + run.len());
+                }
+            }
+        }
+        runs
     }
 
-    /// What bilinear filtering shows at point `k` of texel `i`.
-    fn shown(&self, i: usize, k: usize) -> [f32; C] {
-        let [across, down, both] = self.neighbours(i, k);
+    /// The texels next to `i` in the direction of each point: across, down, and both; edges repeat.
+    #[inline]
+    fn ways(&self, i: usize) -> [[usize; 3]; 4] {
+        let x = i % self.width;
+        let left = if x > 0 { i - 1 } else { i };
+        let right = if x + 1 < self.width { i + 1 } else { i };
+        let up = if i >= self.width { self.width } else { 0 };
+        let down = if i + self.width < self.values.len() { self.width } else { 0 };
+        [
+            [left, i - up, left - up],
+            [right, i - up, right - up],
+            [left, i + down, left + down],
+            [right, i + down, right + down],
+        ]
+    }
+
+    /// What bilinear filtering shows at a point of texel `i`.
+    #[inline]
+    fn shown(&self, i: usize, [across, down, both]: [usize; 3]) -> [f32; C] {
         let (v, a, d, b) = (&self.values[i], &self.values[across], &self.values[down], &self.values[both]);
-        std::array::from_fn(|c| 0.5625 * v[c] + 0.1875 * (a[c] + d[c]) + 0.0625 * b[c])
+        let mut shown = [0.0; C];
+        for c in 0..C {
+            shown[c] = 0.5625 * v[c] + 0.1875 * (a[c] + d[c]) + 0.0625 * b[c];
+        }
+        shown
     }
 
+    #[inline]
     fn moved(&self, i: usize, differences: &[[[f32; C]; 4]]) -> [f32; C] {
         let mut sum = [0.0; C];
         let mut total = 0.0;
@@ -89,9 +118,9 @@ impl<const C: usize> Field<C> {
                 total += weight;
             }
         };
-        for k in 0..4 {
+        let ways = self.ways(i);
+        for (k, [across, down, both]) in ways.into_iter().enumerate() {
             // In the quarter towards the texel's neighbours: its own point, and theirs on this side.
-            let [across, down, both] = self.neighbours(i, k);
             add(i, k, 0.5625);
             if across != i {
                 add(across, k ^ 1, 0.1875);
@@ -106,10 +135,9 @@ impl<const C: usize> Field<C> {
         let mut value = self.values[i];
         if total > 0.0 {
             let (mut low, mut high) = (value, value);
-            for [across, down, both] in (0..4).map(|k| self.neighbours(i, k)) {
-                for near in [across, down, both].map(|n| self.values[n]) {
-                    (0..C).for_each(|c| (low[c], high[c]) = (low[c].min(near[c]), high[c].max(near[c])));
-                }
+            for near in ways.into_iter().flatten() {
+                let near = &self.values[near];
+                (0..C).for_each(|c| (low[c], high[c]) = (low[c].min(near[c]), high[c].max(near[c])));
             }
             // Masks do not ring: no texel leaves the range of those about it.
             (0..C).for_each(|c| value[c] = (value[c] + RELAXATION * sum[c] / total).clamp(low[c], high[c]));
@@ -148,7 +176,7 @@ mod tests {
         f.free[30] = false;
         let error = |f: &Field<1>| -> f64 {
             let all = (0..f.values.len()).flat_map(|i| (0..4).map(move |k| (i, k)));
-            all.map(|(i, k)| f64::from(f.targets[i][k][0] - f.shown(i, k)[0]).powi(2)).sum()
+            all.map(|(i, k)| f64::from(f.targets[i][k][0] - f.shown(i, f.ways(i)[k])[0]).powi(2)).sum()
         };
         let (before, kept) = (error(&f), f.values[30]);
         f.fit();

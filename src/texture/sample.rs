@@ -6,7 +6,7 @@
 //! An anisotropy is interpolated as a renderer does it, by its components; the stretched kernel takes a direction and its
 //! opposite for the same, so that neither cancels the other.
 
-use glam::{DMat2, DVec2};
+use glam::{DMat2, DVec2, Vec2};
 
 use super::codec::{Codec, Depth, Space, alpha_channel};
 use super::direction::{doubled, halved};
@@ -93,16 +93,21 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
     }
 
     /// Bilinear interpolation as a renderer does it, colour not weighted by alpha.
+    #[inline]
     pub(crate) fn bilinear(&self, point: DVec2, codec: &Codec<T>) -> [f32; C] {
-        let p = point - 0.5;
-        let base = p.floor();
-        let t = (p - base).as_vec2();
-        let (x, y) = (base.x as i64, base.y as i64);
+        let ([x, y], t) = base(point);
         let mut out = [0.0; C];
+        let inside = x >= 0 && x + 1 < self.size[0];
         for (dy, wy) in [(0, 1.0 - t.y), (1, t.y)] {
-            for (dx, wx) in [(0, 1.0 - t.x), (1, t.x)] {
-                let index = self.index(x + dx, y + dy);
-                add(&mut out, wx * wy, &codec.decode::<C>(&self.texels[index..index + C]));
+            let first = self.index(x, y + dy);
+            let mut pair = [[0.0; C]; 2];
+            if inside {
+                codec.decode_all(&self.texels[first..first + 2 * C], &mut pair);
+            } else {
+                pair = [first, self.index(x + 1, y + dy)].map(|at| codec.decode::<C>(&self.texels[at..at + C]));
+            }
+            for c in 0..C {
+                out[c] += wy * ((1.0 - t.x) * pair[0][c] + t.x * pair[1][c]);
             }
         }
         out
@@ -127,30 +132,48 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
         value
     }
 
+    /// The six-point kernel along both axes: down the columns first, whose samples lie side by side.
     fn interpolate(&self, point: DVec2) -> [f32; C] {
-        let p = point - 0.5;
-        let base = p.floor();
-        let (wx, wy) = (six_point((p.x - base.x) as f32), six_point((p.y - base.y) as f32));
-        let (x, y) = (base.x as i64, base.y as i64);
+        let ([x, y], t) = base(point);
+        let (wx, wy) = (six_point(t.x), six_point(t.y));
+        let whole = x >= 2 && x + 4 <= self.size[0];
         let columns: [usize; 6] = std::array::from_fn(|i| {
             let x = x + i as i64 - 2;
             (if (0..self.size[0]).contains(&x) { x } else { self.wrap[0].texel(x, self.size[0]) }) as usize * C
         });
-        let mut out = [0.0; C];
-        let (mut low, mut high) = ([f32::INFINITY; C], [f32::NEG_INFINITY; C]);
+        let mut sums = [[0.0; C]; 6];
+        let (mut lows, mut highs) = ([[f32::INFINITY; C]; 4], [[f32::NEG_INFINITY; C]; 4]);
         for (j, weight) in wy.iter().enumerate() {
             let y = y + j as i64 - 2;
             let y = if (0..self.size[1]).contains(&y) { y } else { self.wrap[1].texel(y, self.size[1]) };
             let line = (y * self.size[0]) as usize * C;
-            let mut row = [0.0; C];
-            for (i, weight) in wx.iter().enumerate() {
-                let value = self.at(line + columns[i], self.shown);
-                add(&mut row, *weight, &value);
-                if (1..5).contains(&i) && (1..5).contains(&j) {
-                    widen(&mut low, &mut high, &value);
+            let mut row = [[0.0; C]; 6];
+            if whole && !self.premultiply {
+                let start = line + columns[0];
+                self.shown.decode_all(&self.texels[start..start + 6 * C], &mut row);
+            } else {
+                row = columns.map(|column| self.at(line + column, self.shown));
+            }
+            for (sum, value) in sums.as_flattened_mut().iter_mut().zip(row.as_flattened()) {
+                *sum += weight * value;
+            }
+            if (1..5).contains(&j) {
+                let bounds = lows.as_flattened_mut().iter_mut().zip(highs.as_flattened_mut());
+                for ((low, high), value) in bounds.zip(row[1..5].as_flattened()) {
+                    // Without what `min` and `max` do for NaN.
+                    *low = if value < low { *value } else { *low };
+                    *high = if value > high { *value } else { *high };
                 }
             }
-            add(&mut out, *weight, &row);
+        }
+        let mut out = [0.0; C];
+        sums.iter().zip(&wx).for_each(|(sum, weight)| add(&mut out, *weight, sum));
+        let (mut low, mut high) = (lows[0], highs[0]);
+        for i in 1..4 {
+            for c in 0..C {
+                low[c] = low[c].min(lows[i][c]);
+                high[c] = high[c].max(highs[i][c]);
+            }
         }
         limit(&mut out, &low, &high);
         out
@@ -193,6 +216,19 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
         }
         out
     }
+}
+
+/// The texel at or below a point, with half a texel taken off, and the fractions beyond it.
+#[inline]
+fn base(point: DVec2) -> ([i64; 2], Vec2) {
+    let p = point - 0.5;
+    // Without SSE 4.1, which not every processor has, `floor` is a call.
+    let floor = |v: f64| {
+        let towards_zero = v as i64;
+        towards_zero - i64::from(towards_zero as f64 > v)
+    };
+    let (x, y) = (floor(p.x), floor(p.y));
+    ([x, y], (p - DVec2::new(x as f64, y as f64)).as_vec2())
 }
 
 /// One texel of a cell of `step` x `step`: no pattern of the image may fall in with the lattice.

@@ -41,8 +41,8 @@ const GOALS: [Goal; 10] = [
 /// A scan that is soon refined.
 const COPYROOM: &str = "scans/planeopt_copyroom/copyroom_c2000_opt.obj";
 
-/// Most of the surface whose texels may be resampled.
-const MOST_RESAMPLED: f64 = 0.9;
+/// Most of the surface whose texels may be resampled, on average over the scans.
+const MOST_RESAMPLED: f64 = 0.5;
 
 const fn goal(name: &'static str, charts: f64, psnr: f64) -> Goal {
     Goal { name, charts, psnr }
@@ -71,15 +71,19 @@ fn figure(of: &Value, when: &str, key: &str) -> f64 {
 
 #[test]
 fn scans_have_fewer_charts_and_shorter_seams() {
-    let missed: Vec<String> =
-        GOALS.iter().filter_map(|goal| Some(defragmented(goal, data::model(goal.name)?))).flatten().collect();
+    let reports: Vec<(&Goal, Value)> =
+        GOALS.iter().filter_map(|goal| Some((goal, defragmented(goal, data::model(goal.name)?)))).collect();
+    let missed: Vec<String> = reports.iter().flat_map(|(goal, report)| missed(goal, report)).collect();
     assert!(missed.is_empty(), "{missed:#?}");
+    let resampled: f64 = reports.iter().map(|(_, report)| resampled(report)).sum();
+    assert!(resampled <= MOST_RESAMPLED * reports.len() as f64, "{resampled} of {}", reports.len());
 }
 
 /// A scan made by code is there when no others are.
 #[test]
 fn so_has_a_scan_made_by_code() {
-    let missed = defragmented(&goal("sample.scan", 100.0, 35.0), made("scan"));
+    let goal = goal("sample.scan", 100.0, 35.0);
+    let missed = missed(&goal, &defragmented(&goal, made("scan")));
     assert!(missed.is_empty(), "{missed:#?}");
 }
 
@@ -87,8 +91,8 @@ fn made(name: &str) -> Vec<File> {
     vec![File { path: "sample.glb".to_owned(), bytes: sample(name).expect("a sample") }]
 }
 
-/// Refines a scan, reads it as others do, and gives what was to be reached and is not.
-fn defragmented(goal: &Goal, files: Vec<File>) -> Vec<String> {
+/// Refines a scan, reads it as others do, and gives its report.
+fn defragmented(goal: &Goal, files: Vec<File>) -> Value {
     let (doc, _) = load(&files, None, &Limits::default()).expect("the scan loads");
     let original = doc.to_glb().expect("a GLB");
     let start = Instant::now();
@@ -97,7 +101,12 @@ fn defragmented(goal: &Goal, files: Vec<File>) -> Vec<String> {
     // Under a name of its own: other tests write their files at the same time.
     let name = format!("scan.{}", goal.name);
     every::whole(&name, &every::written(&format!("{name}.before"), &original), &original, &outcome);
-    missed(goal, &outcome.report)
+    outcome.report
+}
+
+/// Share of the surface whose texels were resampled.
+fn resampled(report: &Value) -> f64 {
+    figure(&report["model"], "after", "resampled_area")
 }
 
 /// The figures of a report that do not hold.
@@ -125,8 +134,7 @@ fn missed(goal: &Goal, report: &Value) -> Vec<String> {
         compare("flipped_triangles", |before, after| after <= before);
         // A fraction of the area covered, which itself may become a little smaller.
         compare("overlap_fraction", |before, after| after <= before * 1.01 + 1e-6);
-        compare("texel_density.median", |before, after| (after / before - 1.0).abs() <= 0.02);
-        compare("resampled_area", |_, after| after <= MOST_RESAMPLED);
+        compare("texel_density.median", |before, after| (after / before - 1.0).abs() <= 0.01);
         // One chart alone has no neighbour.
         compare("gutter_texels", |_, after| after.is_nan() || after >= 4.0);
     }
@@ -148,7 +156,7 @@ fn tell(name: &str, report: &Value) -> String {
         line += &format!(", {key} {before:.6} -> {after:.6}");
     }
     let psnr = list(&report["textures"]).iter().filter_map(|t| t["psnr_db"].as_f64()).reduce(f64::min);
-    let resampled = figure(&report["model"], "after", "resampled_area");
+    let resampled = resampled(report);
     format!("{line}, resampled {resampled:.3}, {:.1} dB", psnr.unwrap_or(f64::NAN))
 }
 
@@ -181,7 +189,7 @@ fn exact(files: Vec<File>) -> Value {
     options.defrag.max_resampled = 0.0;
     options.atlas.if_larger = IfLarger::Accept;
     let report = run(files, &options).report;
-    assert_eq!(figure(&report["model"], "after", "resampled_area"), 0.0, "{:#}", report["stages"]);
+    assert_eq!(resampled(&report), 0.0, "{:#}", report["stages"]);
     assert_eq!(report["stages"][0]["stopped_by"], "done", "{:#}", report["warnings"]);
     let textures = list(&report["textures"]);
     assert!(!textures.is_empty() && textures.iter().all(|t| t["exact"] == true), "{textures:#?}");

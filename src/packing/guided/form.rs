@@ -8,7 +8,7 @@ use crate::packing::mask::Mask;
 use crate::packing::orientation::Orientation;
 use crate::packing::{Request, Spacing};
 
-use super::outline::Outline;
+use crate::packing::outline::Outline;
 
 /// A cell on the rim of a piece counts this much, the deepest one `RIM + CORE`: a piece inside another then feels which way
 /// out is the shortest, which the bare area of the overlap does not tell.

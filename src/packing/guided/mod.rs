@@ -13,7 +13,6 @@
 mod field;
 mod form;
 mod goal;
-mod outline;
 mod separate;
 #[cfg(test)]
 mod tests;
@@ -26,10 +25,10 @@ use rayon::prelude::*;
 
 use self::form::{Form, Grid};
 use self::goal::Goal;
-pub(super) use self::outline::Outline;
 use self::separate::{Placed, Stock};
 use self::walk::{Feasible, Gait, Walker};
 use super::orientation::Orientation;
+use super::outline::Outline;
 use super::random::Random;
 use super::{Packing, Placement, Request};
 use crate::context::Context;

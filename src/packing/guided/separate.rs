@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use super::field::Field;
 use super::form::{Form, Grid, shared};
-use super::outline::Outline;
 use crate::context::Context;
 use crate::error::Result;
 use crate::packing::orientation::Orientation;
+use crate::packing::outline::Outline;
 use crate::packing::random::Random;
 
 /// The weight of a pair that never overlapped for long, and the largest.

@@ -17,7 +17,7 @@ mod shape;
 /// Vertices that move by less, in texels, leave their texels as they are: uploads hold float32.
 pub(super) const STILL: f64 = 4e-4;
 /// Work beyond which an attempt that failed is not made again with more room.
-const CHEAP: u64 = 2_000;
+const CHEAP: u64 = 3_000;
 /// Times that vertices are held where the border crossed, and the rest is tried again.
 const AGAIN: usize = 3;
 /// Faces of a band that is tried again only once.
@@ -228,9 +228,9 @@ impl Trial<'_> {
             return Err(Reason::Fold);
         }
         self.spread();
+        self.reach_out();
         self.gather()?;
         self.work += self.band.len() as u64;
-        self.reach_out();
         for &f in &self.band {
             self.region = self.region.union(Bounds::of(&self.placed_triangle(f)));
         }

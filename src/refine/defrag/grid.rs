@@ -23,7 +23,7 @@ pub(super) type MixedSet<K> = HashSet<K, BuildHasherDefault<Mix>>;
 pub(super) struct Grid {
     /// Side of the smallest cells.
     cell: f64,
-    cells: MixedMap<(u32, i32, i32), Vec<u32>>,
+    cells: MixedMap<(u32, i32, i32), Vec<(u32, Bounds)>>,
     /// Faces by level.
     count: [u32; LEVELS],
 }
@@ -46,22 +46,22 @@ impl Grid {
     pub(super) fn add(&mut self, face: u32, bounds: &Bounds) {
         let key = self.key(bounds);
         self.count[key.0 as usize] += 1;
-        self.cells.entry(key).or_default().push(face);
+        self.cells.entry(key).or_default().push((face, *bounds));
     }
 
     /// Takes out a face that was added with these bounds.
     pub(super) fn remove(&mut self, face: u32, bounds: &Bounds) {
         let key = self.key(bounds);
         if let Some(cell) = self.cells.get_mut(&key)
-            && let Some(at) = cell.iter().position(|f| *f == face)
+            && let Some(at) = cell.iter().position(|(f, _)| *f == face)
         {
             cell.swap_remove(at);
             self.count[key.0 as usize] -= 1;
         }
     }
 
-    /// Calls `visit` with every face whose bounds may meet `bounds`, in an order that depends only on what was done, until it says
-    /// `false`. `all` are the chart's faces: they are walked where cells would be more.
+    /// Calls `visit` with every face whose bounds meet `bounds`, in an order that depends only on what was done, until it says
+    /// `false`. `all` are the chart's faces: they are walked, all of them, where cells would be more.
     pub(super) fn query(&self, bounds: &Bounds, all: &[u32], mut visit: impl FnMut(u32) -> bool) {
         for level in 0..LEVELS {
             let count = self.count[level];
@@ -83,8 +83,8 @@ impl Grid {
             }
             for y in cell(low.y)..=cell(high.y) {
                 for x in cell(low.x)..=cell(high.x) {
-                    for &face in self.cells.get(&(level as u32, x, y)).into_iter().flatten() {
-                        if !visit(face) {
+                    for (face, own) in self.cells.get(&(level as u32, x, y)).into_iter().flatten() {
+                        if own.meets(bounds) && !visit(*face) {
                             return;
                         }
                     }

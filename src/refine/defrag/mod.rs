@@ -118,18 +118,19 @@ fn merge_charts(
     let mut stopped_by = "done";
     while let Some(entry) = queue.pop() {
         context.check()?;
+        if work > budget || context.out_of_time() {
+            stopped_by = if work > budget { "work_budget" } else { "time_limit" };
+            break;
+        }
         if queue.known(&mesh, entry).is_none() {
-            if work > budget || context.out_of_time() {
-                stopped_by = if work > budget { "work_budget" } else { "time_limit" };
-                break;
-            }
-            work += look_ahead(&mesh, &mut queue, entry, params, &pool);
+            look_ahead(&mesh, &mut queue, entry, params, &pool);
             let done = 1.0 - (queue.len() as f64 / start as f64).min(1.0);
             context.step(0.05 + 0.65 * done, "merging charts")?;
         }
         tried += 1;
         let known = queue.known(&mesh, entry).cloned();
-        let Some(Attempt { outcome, region, .. }) = known else { continue };
+        let Some(Attempt { outcome, region, work: spent }) = known else { continue };
+        work += spent;
         let op = queue.entries[entry as usize].op.clone();
         let verdict = outcome.and_then(|merge| {
             if energy + merge.energy > params.global_energy() * weight && merge.energy > 0.0 {
@@ -184,19 +185,22 @@ fn merge_charts(
 
 /// Tries an operation, and at the same time those that follow: an attempt changes nothing, and stands as long as nothing changes that it
 /// depends on. So the result is that of trying one after the other.
-fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, pool: &Mutex<Vec<Scratch>>) -> u64 {
+fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, pool: &Mutex<Vec<Scratch>>) {
     let mut batch = vec![entry];
     let mut others = Vec::new();
-    while batch.len() < AHEAD && others.len() < 2 * AHEAD {
+    let ahead = if rayon::current_num_threads() > 1 { AHEAD } else { 1 };
+    while batch.len() < ahead && others.len() < 2 * ahead {
         let Some(next) = queue.pop() else { break };
         others.push(next);
-        if queue.known(mesh, next).is_none() {
+        if queue.is_open(mesh, next) {
             batch.push(next);
         }
     }
     let entries = &queue.entries;
     let found: Vec<Attempt> = batch
         .par_iter()
+        // Some take a thousand times longer than others.
+        .with_max_len(1)
         .map(|&e| {
             let mut scratch = pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
             let op = &entries[e as usize].op;
@@ -209,12 +213,10 @@ fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, p
             found
         })
         .collect();
-    let work = found.iter().map(|a| a.work).sum();
     for (&e, attempt) in batch.iter().zip(found) {
         queue.remember(mesh, e, attempt);
     }
     for e in others {
         queue.push(e);
     }
-    work
 }

@@ -85,7 +85,6 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
             there.iter().for_each(|&f| exact[f as usize] = true);
         }
     }
-    let mut scale = vec![1.0; mesh.uv.len()];
     // Vertices of faces that keep their texels lie exactly where they did, by whole texels and quarter turns.
     let mut at: Vec<Option<DVec2>> = vec![None; mesh.uv.len()];
     for f in (0..mesh.corners.len()).filter(|&f| exact[f]) {
@@ -104,19 +103,13 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
     }
     // Charts that were not touched, and those that are not finite, stay bit for bit.
     let touched: Vec<bool> = mesh.charts.iter().map(|c| c.parts.len() > 1 || !c.changes.is_empty()).collect();
-    // What is resampled anyway gets as many texels as it had: seams that were pulled together made it smaller.
-    for (_, chart) in mesh.charts.iter().enumerate().filter(|(c, _)| free[*c] && touched[*c]) {
-        let grown = growth(&mesh, &chart.faces);
-        for &u in chart.faces.iter().flat_map(|&f| &mesh.corners[f as usize]) {
-            scale[u as usize] = grown;
-        }
-    }
-    at.iter_mut().zip(&scale).for_each(|(at, scale)| *at = at.map(|p| p * *scale));
+    let free: Vec<bool> = free.iter().zip(&touched).map(|(free, touched)| *free && *touched).collect();
+    enlarge(&mesh, &free, &mut at);
     let mut seen = vec![false; mesh.charts.len()];
     let mut in_order = Vec::new();
     for &c in &mesh.chart_of {
         if !std::mem::replace(&mut seen[c as usize], true) {
-            in_order.push(free[c as usize] && touched[c as usize]);
+            in_order.push(free[c as usize]);
         }
     }
     let (corners, chart_of) = (mesh.corners.clone(), mesh.chart_of.clone());
@@ -129,13 +122,44 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
     Placed { atlas, free: in_order, preserved: preserved / f64::max(total, 1e-300) }
 }
 
+/// What is resampled anyway gets as many texels as it had: seams that were pulled together made it smaller. `at` is by UV vertex.
+fn enlarge(mesh: &Mesh, free: &[bool], at: &mut [Option<DVec2>]) {
+    let mut scale: Vec<f64> =
+        mesh.charts.iter().zip(free).map(|(c, free)| if *free { growth(mesh, &c.faces) } else { 1.0 }).collect();
+    // Nor is the usual texel coarser: the faces that lost most are not all in charts that grew.
+    let density = |f: usize, t: [DVec2; 3]| area(t) / mesh.area[f];
+    let scaled = |f: usize, u: u32| at[u as usize].unwrap_or(mesh.uv[u as usize]) * scale[mesh.chart_of[f] as usize];
+    let faces = 0..mesh.corners.len();
+    let before = median(faces.clone().map(|f| density(f, mesh.rest[f])).collect());
+    let now = median(faces.map(|f| density(f, mesh.corners[f].map(|u| scaled(f, u)))).collect());
+    let lost = (before / now).sqrt();
+    if lost > 1.0 && lost < MOST_GROWTH {
+        scale.iter_mut().zip(free).filter(|(_, free)| **free).for_each(|(s, _)| *s *= lost);
+    }
+    for (at, star) in at.iter_mut().zip(&mesh.star) {
+        if let (Some(at), Some(&f)) = (at, star.first()) {
+            *at *= scale[mesh.chart_of[f as usize] as usize];
+        }
+    }
+}
+
 /// By how much the faces must grow in both directions to cover as many texels as in the input; never less than one.
 fn growth(mesh: &Mesh, faces: &[u32]) -> f64 {
-    let area = |t: [DVec2; 3]| 0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs();
     let before: f64 = faces.iter().map(|&f| area(mesh.rest[f as usize])).sum();
     let now: f64 = faces.iter().map(|&f| area(mesh.triangle(f))).sum();
     let grown = (before / now).sqrt();
     if grown.is_finite() { grown.clamp(1.0, MOST_GROWTH) } else { 1.0 }
+}
+
+fn area(t: [DVec2; 3]) -> f64 {
+    0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()
+}
+
+/// The median of those that are finite; NaN where none is.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.retain(|v| v.is_finite());
+    let middle = values.len() / 2;
+    if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// Whether a face lies where its chart of the input was moved.

@@ -1,7 +1,7 @@
 //! Which operations there are, and which is tried next (section 4.4).
 
 use std::cmp::Ordering;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use super::attempt::{Attempt, Merge, Reason};
 use super::mesh::Mesh;
@@ -21,6 +21,9 @@ const PART: f64 = 0.5;
 
 /// Work that may be spent on an operation that fails.
 const RETRY: f64 = 5e4;
+
+/// Work on an operation beyond which it is tried ahead of its turn only once: what it depends on changes too soon.
+const DEAR: u64 = 2_000;
 
 /// Where an operation stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,9 +49,12 @@ pub(super) struct Entry {
     stamp: u32,
     /// Whether its parts are in the queue.
     apart: bool,
-    /// What was found out ahead of its turn, or why it failed; with the number of changes of both charts by then.
-    pub known: Option<(Attempt, [usize; 2])>,
+    /// What was found out ahead of its turn, or why it failed.
+    pub known: Known,
 }
+
+/// An attempt, with the number of changes of both charts by then.
+type Known = Option<(Attempt, [usize; 2])>;
 
 /// All seams between two charts, or within one.
 #[derive(Debug, Default)]
@@ -129,6 +135,12 @@ impl<'a> Queue<'a> {
         (untouched && same).then_some(attempt)
     }
 
+    /// Whether it is to be tried ahead of its turn: not yet, or cheaply, and not as things are now.
+    pub(super) fn is_open(&self, mesh: &Mesh, entry: u32) -> bool {
+        let stale = self.entries[entry as usize].known.as_ref();
+        stale.is_none_or(|(attempt, _)| attempt.work <= DEAR) && self.known(mesh, entry).is_none()
+    }
+
     /// Remembers what was found out.
     pub(super) fn remember(&mut self, mesh: &Mesh, entry: u32, attempt: Attempt) {
         let own = &mut self.entries[entry as usize];
@@ -165,9 +177,10 @@ impl<'a> Queue<'a> {
         }
     }
 
-    fn add(&mut self, mesh: &Mesh, link: u32, kind: Kind, edges: Vec<u32>, fails: u32) {
+    /// Makes an operation; gives its entry, unless it is none or is taken apart at once.
+    fn add(&mut self, mesh: &Mesh, link: u32, kind: Kind, edges: Vec<u32>, fails: u32) -> Option<u32> {
         let chance = self.random.unit();
-        let Some(op) = Operation::new(mesh, kind, edges, fails, self.params, self.unit, chance) else { return };
+        let op = Operation::new(mesh, kind, edges, fails, self.params, self.unit, chance)?;
         if self.params.search == Search::Partial
             && kind == Kind::Stretch
             && op.cost > CROOKED * 0.5 * (op.lengths[0] + op.lengths[1])
@@ -175,7 +188,7 @@ impl<'a> Queue<'a> {
         {
             // Hopeless as it is: its parts may do.
             self.take_apart(mesh, link, kind, &op.edges);
-            return;
+            return None;
         }
         let entry = self.entries.len() as u32;
         let small = self.is_small(mesh, &op);
@@ -184,6 +197,7 @@ impl<'a> Queue<'a> {
         if !small {
             self.push(entry);
         }
+        Some(entry)
     }
 
     /// Whether an operation that failed is worth another try: the dearer it is, the fewer.
@@ -204,23 +218,29 @@ impl<'a> Queue<'a> {
         let (edges, fails) = (own.edges.clone(), own.fails);
         let old = std::mem::take(&mut own.entries);
         let groups = if within && !edges.is_empty() { runs(mesh, &edges) } else { Vec::new() };
-        // Groups within a chart that are as they were, where nothing changed, stay.
-        let same: std::collections::BTreeSet<&Vec<u32>> = groups.iter().collect();
-        let mut kept: std::collections::BTreeSet<Vec<u32>> = std::collections::BTreeSet::new();
+        // Groups within a chart that are as they were keep what is known of them; those that failed stay where nothing changed.
+        // What was only tried ahead of its turn makes no difference to what is queued.
+        let same: BTreeSet<&Vec<u32>> = groups.iter().collect();
+        let mut kept: BTreeSet<Vec<u32>> = BTreeSet::new();
+        let mut former: BTreeMap<Vec<u32>, (u32, Known)> = BTreeMap::new();
         for entry in old {
             let own = &self.entries[entry as usize];
-            let stays = within
+            let goes_on = within
                 && own.op.kind == Kind::Within
                 && own.standing != Standing::Gone
                 && same.contains(&own.op.edges)
-                && own.op.kept == own.op.moved
-                && self.known(mesh, entry).is_some();
-            if stays {
-                kept.insert(self.entries[entry as usize].op.edges.clone());
+                && own.op.kept == own.op.moved;
+            let known = goes_on && self.known(mesh, entry).is_some();
+            let own = &mut self.entries[entry as usize];
+            if known && own.standing == Standing::Failed {
+                kept.insert(own.op.edges.clone());
                 self.links[link as usize].entries.push(entry);
-            } else {
-                self.entries[entry as usize].standing = Standing::Gone;
-                self.entries[entry as usize].known = None;
+                continue;
+            }
+            own.standing = Standing::Gone;
+            let ahead = own.known.take().filter(|_| known);
+            if goes_on {
+                former.insert(own.op.edges.clone(), (own.op.fails, ahead));
             }
         }
         if edges.is_empty() {
@@ -231,7 +251,10 @@ impl<'a> Queue<'a> {
             return;
         }
         for group in groups.into_iter().filter(|g| !kept.contains(g)) {
-            self.add(mesh, link, Kind::Within, group, fails.min(8));
+            let (fails, known) = former.remove(&group).unwrap_or((fails.min(8), None));
+            if let Some(entry) = self.add(mesh, link, Kind::Within, group, fails) {
+                self.entries[entry as usize].known = known;
+            }
         }
     }
 
@@ -240,7 +263,7 @@ impl<'a> Queue<'a> {
         let op = &self.entries[entry as usize].op;
         let (kept, moved, link) = (op.kept, op.moved, self.entries[entry as usize].link);
         // The seams that are gone.
-        let zipped: std::collections::BTreeSet<u32> = merge.zip.iter().flat_map(|&(h, t)| [h, t]).collect();
+        let zipped: BTreeSet<u32> = merge.zip.iter().flat_map(|&(h, t)| [h, t]).collect();
         self.links[link as usize].edges.retain(|h| !zipped.contains(h));
         let mut dirty: Vec<u32> = vec![link];
         if kept != moved {
@@ -351,7 +374,7 @@ fn halves(mesh: &Mesh, edges: &[u32]) -> Vec<(Kind, Vec<u32>)> {
 fn along(mesh: &Mesh, edges: &[u32]) -> Vec<u32> {
     // One side of each pair, all of the same border where that can be told: by the vertex at which they start.
     let mut by_start: BTreeMap<u32, u32> = BTreeMap::new();
-    let mut is_end: std::collections::BTreeSet<u32> = std::collections::BTreeSet::new();
+    let mut is_end: BTreeSet<u32> = BTreeSet::new();
     let first = mesh.chart(edges[0]);
     for &h in edges {
         let own = super::operation::sides(mesh, h, first).0;

@@ -6,6 +6,8 @@ use crate::atlas::rigid::Rigid;
 
 /// Pairs that are found before the search ends.
 const MOST: usize = 64;
+/// Faces of a chart that lie in the cells about one, as a rule.
+const AROUND: u64 = 28;
 
 impl Trial<'_> {
     /// Whether the border of the chart that comes lies on the other chart, apart from the faces that will be deformed.
@@ -42,9 +44,9 @@ impl Trial<'_> {
     pub(super) fn overlapping(&mut self) -> Vec<u32> {
         let mesh = self.mesh;
         let mut found = Vec::new();
-        let mut looked = 0;
         let placed: Vec<_> = self.band.iter().map(|&f| self.placed_triangle(f)).collect();
         let charts = if self.within() { vec![self.op.kept] } else { vec![self.op.kept, self.op.moved] };
+        self.work += AROUND * (self.band.len() * charts.len()) as u64;
         for (&f, at) in self.band.iter().zip(&placed) {
             let bounds = Bounds::of(at);
             for &c in &charts {
@@ -52,7 +54,6 @@ impl Trial<'_> {
                 let own = if comes { moved_back(&bounds, at, &self.op.motion) } else { bounds };
                 let chart = &mesh.charts[c as usize];
                 chart.grid.query(&own, &chart.faces, |g| {
-                    looked += 1;
                     if self.scratch.in_band(g).is_none() && clash(mesh, f, at, g, &self.aligned_triangle(g)) {
                         found.push(f);
                     }
@@ -77,13 +78,12 @@ impl Trial<'_> {
                 if !bounds[i].meets(&bounds[j]) {
                     continue;
                 }
-                looked += 1;
+                self.work += 1;
                 if clash(mesh, self.band[i], &placed[i], self.band[j], &placed[j]) {
                     found.extend([self.band[i], self.band[j]]);
                 }
             }
         }
-        self.work += looked;
         found
     }
 }

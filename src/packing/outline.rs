@@ -2,35 +2,33 @@
 
 use glam::{DMat2, DVec2};
 
-use crate::packing::Piece;
-use crate::packing::mask::Mask;
-use crate::packing::shape::frame;
+use super::Piece;
+use super::mask::{Mask, on_border};
+use super::shape::frame;
 
-/// A piece's directed border where its triangles all turn the same way round, else all of its triangles.
+/// A piece's directed border, and the triangles that do not turn the way most do.
 #[derive(Debug)]
 pub(crate) struct Outline {
-    /// Edges as triangles without area, or all triangles.
-    parts: Vec<[DVec2; 3]>,
-    /// Whether `parts` is a border whose inside is to be filled.
-    hollow: bool,
-    /// Points between which everything lies.
-    points: Vec<DVec2>,
+    /// Edges without their opposite: with all triangles the right way round, what is inside is to the left of each.
+    border: Vec<[DVec2; 2]>,
+    /// Triangles that are turned over or have no area.
+    folded: Vec<[DVec2; 3]>,
 }
 
 impl Outline {
-    /// Finds the border: directed edges without their opposite. Where all triangles turn the same way round, a point that k of them cover has
-    /// winding number ±k about it, so that filling by winding number loses nothing even where the chart overlaps itself.
+    /// Finds the border: directed edges without their opposite. Where all triangles turn the same way round, a point that k of
+    /// them cover has winding number ±k about it, so that filling by winding number loses nothing even where the chart
+    /// overlaps itself; only what those cover that turn the other way round may be lost, so they are kept apart.
     pub fn new(piece: &Piece) -> Self {
-        let signs = piece.triangles.iter().map(|t| (t[1] - t[0]).perp_dot(t[2] - t[0]));
-        let (mut left, mut right) = (false, false);
-        for s in signs {
-            left |= s > 0.0;
-            right |= s < 0.0;
-        }
+        let sign = |t: &[DVec2; 3]| (t[1] - t[0]).perp_dot(t[2] - t[0]);
+        let turned =
+            |right: bool| piece.triangles.iter().filter(|t| (sign(t) < 0.0) == right && sign(t) != 0.0).count();
+        let side = if turned(true) > turned(false) { -1.0 } else { 1.0 };
+        let folded = piece.triangles.iter().filter(|t| !(side * sign(t) > 0.0)).copied().collect();
         let bits = |p: DVec2| [(p.x + 0.0).to_bits(), (p.y + 0.0).to_bits()];
         // An edge and its opposite get the same key, and signs that cancel.
-        let mut edges: Vec<([[u64; 2]; 2], i32, [DVec2; 2])> = Vec::new();
-        for t in &piece.triangles {
+        let mut edges: Vec<([[u64; 2]; 2], i32, [DVec2; 2])> = Vec::with_capacity(3 * piece.triangles.len());
+        for t in piece.triangles.iter().filter(|t| t.iter().all(|p| p.is_finite())) {
             for k in 0..3 {
                 let (a, b) = (t[k], t[(k + 1) % 3]);
                 let (p, q) = (bits(a), bits(b));
@@ -44,21 +42,15 @@ impl Outline {
         for same in edges.chunk_by(|a, b| a.0 == b.0) {
             let sum: i32 = same.iter().map(|e| e.1).sum();
             let [a, b] = same[0].2;
-            let edge = if sum > 0 { [a, b, b] } else { [b, a, a] };
+            let edge = if sum > 0 { [a, b] } else { [b, a] };
             border.extend(std::iter::repeat_n(edge, sum.unsigned_abs() as usize));
         }
-        let points = |parts: &[[DVec2; 3]]| parts.iter().flat_map(|t| [t[0], t[1]]).collect();
-        if left && right || border.len() > 3 * piece.triangles.len() || border.is_empty() {
-            let points = piece.triangles.iter().flatten().copied().collect();
-            return Outline { parts: piece.triangles.clone(), hollow: false, points };
-        }
-        // Degenerate triangles may stand apart from all others.
-        Outline { points: points(&border), parts: border, hollow: true }
+        Outline { border, folded }
     }
 
     /// About how many words rasterising looks at.
     pub fn work(&self) -> u64 {
-        8 * self.parts.len() as u64
+        8 * (self.border.len() + self.folded.len()) as u64
     }
 
     /// Sides of the bounding box after the linear map.
@@ -70,7 +62,7 @@ impl Outline {
     fn corners(&self, linear: DMat2) -> (DVec2, DVec2) {
         let mut low = DVec2::INFINITY;
         let mut high = DVec2::NEG_INFINITY;
-        for p in &self.points {
+        for p in self.border.iter().flatten().chain(self.folded.iter().flatten()) {
             let q = linear * *p;
             low = low.min(q);
             high = high.max(q);
@@ -78,24 +70,32 @@ impl Outline {
         if low.is_finite() { (low, high) } else { (DVec2::ZERO, DVec2::ZERO) }
     }
 
-    /// The cells that the piece touches, as [`crate::packing::shape`] has them, and the anchor.
+    /// The cells that the piece touches, and what is subtracted from turned coordinates so that the mask's corner is the origin.
     pub fn raster(&self, linear: DMat2, cell: f64, lattice: Option<usize>) -> (Mask, DVec2) {
         let (low, high) = self.corners(linear);
         let (anchor, [width, height]) = frame(low, high, cell, lattice);
-        let turned: Vec<[DVec2; 3]> = self.parts.iter().map(|t| t.map(|p| (linear * p - anchor) / cell)).collect();
-        let mut mask = Mask::of_triangles(&turned, width, height);
-        if self.hollow {
-            fill(&turned, &mut mask);
+        let place = |p: DVec2| (linear * p - anchor) / cell;
+        let border: Vec<[DVec2; 2]> = self.border.iter().map(|e| e.map(place)).collect();
+        let mut mask = Mask::new(width, height);
+        for t in &self.folded {
+            mask.add_triangle(&t.map(place));
         }
+        for [a, b] in border.iter().copied() {
+            // An edge between two cells touches neither; what is inside has its own cells.
+            if !(on_border(a.x, b.x) || on_border(a.y, b.y)) {
+                mask.add_triangle(&[a, b, b]);
+            }
+        }
+        fill(&border, &mut mask);
         (mask, anchor)
     }
 }
 
 /// Sets the cells whose centres the border winds about; the border's own cells are set already.
-fn fill(border: &[[DVec2; 3]], mask: &mut Mask) {
+fn fill(border: &[[DVec2; 2]], mask: &mut Mask) {
     // Crossings of the centre line of each row: (row, x, direction).
     let mut crossings: Vec<(u32, f64, i32)> = Vec::new();
-    for &[a, b, _] in border {
+    for &[a, b] in border {
         let (direction, a, b) = if a.y < b.y { (1, a, b) } else { (-1, b, a) };
         let first = (a.y - 0.5).ceil().max(0.0) as usize;
         let slope = (b.x - a.x) / (b.y - a.y);
@@ -146,7 +146,7 @@ mod tests {
                 piece.triangles.extend(fan(&mut random, -4.0).triangles);
             }
             let outline = Outline::new(&piece);
-            assert_eq!(outline.hollow, round % 5 != 0);
+            assert_eq!(outline.folded.is_empty(), round % 5 != 0);
             let linear = DMat2::from_angle(7.0 * random.unit());
             let (mask, anchor) = outline.raster(linear, 0.7, None);
             let turned: Vec<_> = piece.triangles.iter().map(|t| t.map(|p| (linear * p - anchor) / 0.7)).collect();
@@ -157,6 +157,30 @@ mod tests {
                 }
             }
             assert!(mask.count() <= plain.count(), "{round}");
+        }
+    }
+
+    #[test]
+    fn whole_texels_own_their_cells_alone() {
+        let mut random = Random::new(5);
+        for round in 0..100 {
+            let corner = |x: usize, y: usize| DVec2::new(x as f64, y as f64);
+            let mut piece = Piece::default();
+            for (x, y) in (0..8).flat_map(|y| (0..8).map(move |x| (x, y))) {
+                if random.below(3) > 0 {
+                    let [a, b, c, d] = [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(i, j)| corner(x + i, y + j));
+                    piece.triangles.extend([[a, b, c], if round % 4 == 0 && x == y { [d, c, a] } else { [a, c, d] }]);
+                }
+            }
+            let outline = Outline::new(&piece);
+            for turn in
+                [DMat2::IDENTITY, DMat2::from_cols(DVec2::Y, DVec2::NEG_X), DMat2::from_diagonal(DVec2::NEG_ONE)]
+            {
+                let (mask, anchor) = outline.raster(turn, 1.0, Some(1));
+                let turned: Vec<_> = piece.triangles.iter().map(|t| t.map(|p| turn * p - anchor)).collect();
+                assert_eq!(mask, Mask::of_triangles(&turned, mask.width, mask.height), "{round}");
+                assert_eq!(2 * mask.count(), piece.triangles.len());
+            }
         }
     }
 }
