@@ -105,9 +105,12 @@ pub(super) fn whole(name: &str, path: &Path, original: &[u8], outcome: &Outcome)
     let basis = list(&three["broken"]).iter().any(|b| b.as_str().is_some_and(|b| b.contains("setKTX2Loader")));
     let readers = [("glTF Transform", &transform), ("three.js", &three)];
     for (reader, now) in readers.into_iter().take(if basis { 1 } else { 2 }) {
-        // A file that is missing is named with its folder, or without.
-        let named =
-            |b: &Value| b.as_str().and_then(|b| b.rsplit(['/', '\'']).find(|p| !p.is_empty())).map(str::to_owned);
+        // Of several files that are missing any may be named, with its folder or without.
+        let named = |b: &Value| {
+            let b = b.as_str()?;
+            let missing = b.starts_with("ENOENT").then_some("ENOENT");
+            missing.or_else(|| b.rsplit(['/', '\'']).find(|p| !p.is_empty())).map(str::to_owned)
+        };
         let known: Vec<_> = list(&before["broken"]).iter().map(named).collect();
         let broken: Vec<_> = list(&now["broken"]).iter().filter(|b| !known.contains(&named(b))).collect();
         assert!(broken.is_empty(), "{name}: {reader} finds {broken:?}");

@@ -30,6 +30,9 @@ const POSITION: &str = "CASE state WHEN 'queued' THEN (SELECT count(*) FROM jobs
 #[derive(Debug, Clone)]
 pub struct Sqlite {
     pool: SqlitePool,
+    /// For heartbeats. They need not survive a loss of power, and hold the database's lock only for as long as it takes to write to
+    /// the page cache: a process that is stopped in the middle of one would keep all others waiting.
+    beats: SqlitePool,
 }
 
 impl Sqlite {
@@ -45,9 +48,16 @@ impl Sqlite {
             // A job is acknowledged only when it would survive a loss of power.
             .synchronous(SqliteSynchronous::Full)
             .busy_timeout(Duration::from_secs(20));
-        let pool = SqlitePoolOptions::new().max_connections(4).connect_with(options).await?;
+        let pool = SqlitePoolOptions::new().max_connections(4).connect_with(options.clone()).await?;
+        let beats = options.synchronous(SqliteSynchronous::Normal);
+        let beats = SqlitePoolOptions::new().max_connections(1).connect_lazy_with(beats);
+        let of = "PRAGMA user_version";
+        if sqlx::query(of).fetch_one(&pool).await?.try_get::<i64, _>(0)? == VERSION {
+            return Ok(Sqlite { pool, beats });
+        }
+        // Of several processes that start, one makes the tables.
         let mut connection = pool.begin_with("BEGIN IMMEDIATE").await?;
-        let version: i64 = sqlx::query("PRAGMA user_version").fetch_one(&mut *connection).await?.try_get(0)?;
+        let version: i64 = sqlx::query(of).fetch_one(&mut *connection).await?.try_get(0)?;
         match version {
             VERSION => {}
             0 => {
@@ -61,7 +71,7 @@ impl Sqlite {
             }
         }
         connection.commit().await?;
-        Ok(Sqlite { pool })
+        Ok(Sqlite { pool, beats })
     }
 }
 
@@ -173,7 +183,7 @@ impl Queue for Sqlite {
         .bind(json(&now.progress)?)
         .bind(json(&now.stages)?)
         .bind(json(&now.warnings)?)
-        .fetch_all(&self.pool)
+        .fetch_all(&self.beats)
         .await?;
         match rows.first() {
             None => Ok(Beat::Lost),
