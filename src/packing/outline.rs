@@ -24,7 +24,8 @@ impl Outline {
         let turned =
             |right: bool| piece.triangles.iter().filter(|t| (sign(t) < 0.0) == right && sign(t) != 0.0).count();
         let side = if turned(true) > turned(false) { -1.0 } else { 1.0 };
-        let folded = piece.triangles.iter().filter(|t| !(side * sign(t) > 0.0)).copied().collect();
+        let right_way = |t: &[DVec2; 3]| side * sign(t) > 0.0;
+        let folded = piece.triangles.iter().filter(|t| !right_way(t)).copied().collect();
         let bits = |p: DVec2| [(p.x + 0.0).to_bits(), (p.y + 0.0).to_bits()];
         // An edge and its opposite get the same key, and signs that cancel.
         let mut edges: Vec<([[u64; 2]; 2], i32, [DVec2; 2])> = Vec::with_capacity(3 * piece.triangles.len());
