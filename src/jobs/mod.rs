@@ -121,9 +121,11 @@ impl Jobs {
     /// # Errors
     /// `not_found`, `internal`.
     pub async fn get(&self, id: &str) -> Result<Job> {
+        // The listener first, the job second: one that ends in between is still heard of. What is stored may be behind it.
+        let live = self.hub.follow(id);
         let mut job = self.queue.get(id).await?.ok_or_else(|| unknown(id))?;
         if job.state == State::Running
-            && let Some(live) = self.hub.follow(id).map(|f| f.borrow().clone())
+            && let Some(live) = live.map(|f| f.borrow().clone())
             && live.attempt == job.attempt
         {
             job.progress = live.now.progress;

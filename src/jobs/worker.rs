@@ -30,7 +30,7 @@ const TIDY: Duration = Duration::from_secs(5);
 /// Every so many rounds of upkeep, files that belong to no job are looked for.
 const SWEEP: u32 = 720;
 /// Work that was told to stop and has not by then is left to itself: its result will not count.
-const LATE: Duration = Duration::from_millis(700);
+const LATE: Duration = Duration::from_millis(500);
 
 /// What came of an attempt.
 struct Computed {
