@@ -1,9 +1,12 @@
 //! Performing a merge operation (section 4.2), without changing anything: what would become of the mesh, or why not.
 
 use std::collections::BinaryHeap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use glam::DVec2;
 
+use super::border::Loops;
 use super::mesh::Mesh;
 use super::operation::{Kind, Operation, pairs};
 use super::params::{Defrag, Search};
@@ -22,8 +25,12 @@ const CHEAP: u64 = 3_000;
 const AGAIN: usize = 3;
 /// Faces of a band that is tried again only once.
 const MANY: usize = 2_000;
-/// Faces that one merge may deform.
-const WIDEST: usize = 6_000;
+/// Vertices that one merge may deform: at all, where one chart gives way alone, and where deformation spreads further than published.
+/// Beyond, such merges all but never succeed.
+const WIDEST: [usize; 3] = [6_000, 1_500, 200];
+/// Vertices beyond which both ways to fit a seam are tried at the same time, and what nobody waits for any more is given up. Some
+/// milliseconds: waking another thread may take as long.
+const HEAVY: usize = if cfg!(test) { 20 } else { 500 };
 
 /// Why an operation failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -107,6 +114,7 @@ pub(super) struct Scratch {
     node: Vec<(u32, u32)>,
     /// (epoch, index in the band) by face.
     band: Vec<(u32, u32)>,
+    loops: Loops,
 }
 
 impl Scratch {
@@ -127,36 +135,120 @@ impl Scratch {
     }
 }
 
-/// Tries the operation.
-pub(super) fn attempt(mesh: &Mesh, op: &Operation, params: &Defrag, scratch: &mut Scratch) -> Attempt {
-    let mut work = 0;
-    let mut region = Bounds::EMPTY;
-    let mut last = Reason::Singular;
+/// Memory for as many attempts as are made at once.
+#[derive(Debug, Default)]
+pub(super) struct Pool(Mutex<Vec<Scratch>>);
+
+impl Pool {
+    fn with<T>(&self, work: impl FnOnce(&mut Scratch) -> T) -> T {
+        let own = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut scratch = own().pop().unwrap_or_default();
+        let result = work(&mut scratch);
+        own().push(scratch);
+        result
+    }
+
+    /// See [`Loops::stays_flat`].
+    pub(super) fn stays_flat(&self, mesh: &Mesh, zip: &[(u32, u32)], within: bool) -> bool {
+        self.with(|scratch| scratch.loops.stays_flat(mesh, zip, within))
+    }
+}
+
+/// Says that nobody waits for an attempt any more.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Quit<'a>([Option<&'a AtomicBool>; 2]);
+
+impl<'a> Quit<'a> {
+    /// When this is set.
+    pub(super) fn when(flag: &'a AtomicBool) -> Self {
+        Quit([Some(flag), None])
+    }
+
+    fn or(self, flag: &'a AtomicBool) -> Self {
+        Quit([self.0[0], Some(flag)])
+    }
+
+    fn now(self) -> bool {
+        self.0.into_iter().flatten().any(|flag| flag.load(Ordering::Relaxed))
+    }
+}
+
+/// Tries the operation; `None` only where `quit` says that nobody waits for it. Calls `heavy` where it is going to take long.
+pub(super) fn attempt(
+    mesh: &Mesh,
+    op: &Operation,
+    params: &Defrag,
+    pool: &Pool,
+    quit: Quit<'_>,
+    heavy: &(dyn Fn() + Sync),
+) -> Option<Attempt> {
+    let mut so_far = Attempt { outcome: Err(Reason::Singular), region: Bounds::EMPTY, work: 0 };
+    if !pool.stays_flat(mesh, &pairs(mesh, op), op.kept == op.moved) {
+        return Some(Attempt { outcome: Err(Reason::Topology), work: op.edges.len() as u64, ..so_far });
+    }
+    let partial = params.search == Search::Partial;
     // A chart that keeps its texels is left alone where the other, which is resampled anyway, can do the fitting.
-    let gentle = params.search == Search::Partial && op.kind != Kind::Within && !op.whole_texels;
-    let wide = params.search == Search::Partial;
-    let ways: &[(Target, bool)] = match (gentle, wide) {
-        (true, true) => &[(Target::Kept, false), (Target::Mean, false), (Target::Kept, true), (Target::Mean, true)],
-        (false, true) => &[(Target::Mean, false), (Target::Mean, true)],
-        _ => &[(Target::Mean, false)],
-    };
-    for &(target, wide) in ways {
-        if wide && work > CHEAP {
+    let gentle = partial && op.kind != Kind::Within && !op.whole_texels;
+    for wide in [false, true] {
+        if wide && (!partial || so_far.work > CHEAP) {
             break;
         }
-        scratch.begin(mesh);
-        let mut trial =
-            Trial { mesh, op, params, scratch, target, wide, region, work, nodes: Vec::new(), band: Vec::new() };
-        let outcome = trial.run();
-        (region, work) = (trial.region, trial.work);
-        match outcome {
-            Ok(merge) => return Attempt { outcome: Ok(merge), region, work },
-            // What collides without any deformation does so whoever gives way.
-            Err(Reason::Collision) => return Attempt { outcome: Err(Reason::Collision), region, work },
-            Err(reason) => last = reason,
+        let mean = |quit: Quit<'_>, first: bool| {
+            pool.with(|scratch| {
+                let mut mean = Trial::new(mesh, op, params, (Target::Mean, wide), scratch, quit);
+                let prepared = mean.prepare();
+                if first && mean.is_heavy() {
+                    heavy();
+                }
+                mean.finish(prepared)
+            })
+        };
+        if !gentle {
+            if so_far.is_decided_by(mean(quit, true)?, wide) {
+                break;
+            }
+            continue;
+        }
+        let decided = AtomicBool::new(false);
+        let (kept, mean) = pool.with(|scratch| {
+            let mut kept = Trial::new(mesh, op, params, (Target::Kept, wide), scratch, quit);
+            let prepared = kept.prepare();
+            let both = kept.is_heavy() && rayon::current_num_threads() > 1;
+            let kept = || {
+                if both {
+                    heavy();
+                }
+                let kept = kept.finish(prepared);
+                decided.store(kept.as_ref().is_none_or(Attempt::decides), Ordering::Relaxed);
+                kept
+            };
+            // Where the first way succeeds, the second is not waited for.
+            let mean = |first| if decided.load(Ordering::Relaxed) { None } else { mean(quit.or(&decided), first) };
+            if both { rayon::join(kept, || mean(false)) } else { (kept(), mean(true)) }
+        });
+        if so_far.is_decided_by(kept?, wide) || so_far.is_decided_by(mean?, wide) {
+            break;
         }
     }
-    Attempt { outcome: Err(last), region, work }
+    Some(so_far)
+}
+
+impl Attempt {
+    /// Whether no other way is to be tried: what collides without any deformation does so whoever gives way.
+    fn decides(&self) -> bool {
+        !matches!(self.outcome, Err(reason) if reason != Reason::Collision)
+    }
+
+    /// Adds the next way that was tried; says whether it is the last one. Why the published ways failed says more than why others did.
+    fn is_decided_by(&mut self, next: Attempt, wide: bool) -> bool {
+        let decides = next.decides();
+        self.region = self.region.union(next.region);
+        self.work += next.work;
+        if decides || !wide {
+            self.outcome = next.outcome;
+        }
+        decides
+    }
 }
 
 /// One or several UV vertices that are, or become, one.
@@ -185,11 +277,70 @@ struct Trial<'a> {
     nodes: Vec<Node>,
     /// Faces with a corner that moves.
     band: Vec<u32>,
+    quit: Quit<'a>,
+    /// Nobody waits for it.
+    gave_up: bool,
 }
 
-impl Trial<'_> {
+/// The seam that a trial is about.
+struct Seam {
+    /// See [`Merge`].
+    zip: Vec<(u32, u32)>,
+    /// How far its vertices are moved at most.
+    displaced: f64,
+}
+
+impl<'a> Trial<'a> {
+    fn new(
+        mesh: &'a Mesh,
+        op: &'a Operation,
+        params: &'a Defrag,
+        (target, wide): (Target, bool),
+        scratch: &'a mut Scratch,
+        quit: Quit<'a>,
+    ) -> Self {
+        scratch.begin(mesh);
+        let (nodes, band) = (Vec::new(), Vec::new());
+        Trial {
+            mesh,
+            op,
+            params,
+            scratch,
+            target,
+            wide,
+            region: Bounds::EMPTY,
+            work: 0,
+            nodes,
+            band,
+            quit,
+            gave_up: false,
+        }
+    }
+
+    /// Whether it is going to take long.
+    fn is_heavy(&self) -> bool {
+        self.nodes.len() > HEAVY
+    }
+
+    /// The rest of it; `None` where nobody waits for it.
+    fn finish(mut self, seam: Result<Seam, Reason>) -> Option<Attempt> {
+        let outcome = seam.and_then(|seam| self.fit(seam));
+        (!self.gave_up).then_some(Attempt { outcome, region: self.region, work: self.work })
+    }
+
+    /// Gives up where nobody waits for what takes long.
+    fn go_on(&mut self) -> Result<(), Reason> {
+        self.gave_up |= self.is_heavy() && self.quit.now();
+        if self.gave_up { Err(Reason::Singular) } else { Ok(()) }
+    }
+
     fn within(&self) -> bool {
         self.op.kept == self.op.moved
+    }
+
+    /// Vertices that it may deform.
+    fn widest(&self) -> usize {
+        WIDEST[if self.wide { 2 } else { usize::from(self.target == Target::Kept) }]
     }
 
     /// Whether a face is of the chart that comes.
@@ -220,7 +371,8 @@ impl Trial<'_> {
         })
     }
 
-    fn run(&mut self) -> Result<Merge, Reason> {
+    /// Finds what is to be deformed.
+    fn prepare(&mut self) -> Result<Seam, Reason> {
         let zip = pairs(self.mesh, self.op);
         let displaced = self.fuse(&zip);
         if self.vanishes() {
@@ -230,6 +382,12 @@ impl Trial<'_> {
         self.spread();
         self.reach_out();
         self.gather()?;
+        Ok(Seam { zip, displaced })
+    }
+
+    /// Deforms it until it fits.
+    fn fit(&mut self, Seam { zip, displaced }: Seam) -> Result<Merge, Reason> {
+        self.go_on()?;
         self.work += self.band.len() as u64;
         for &f in &self.band {
             self.region = self.region.union(Bounds::of(&self.placed_triangle(f)));
@@ -247,6 +405,7 @@ impl Trial<'_> {
             }
             self.folds()?;
             self.local_energy()?;
+            self.go_on()?;
             let crossing = self.overlapping();
             if crossing.is_empty() {
                 break;
@@ -353,7 +512,7 @@ impl Trial<'_> {
         }
         let radius: Vec<f64> = self.nodes.iter().map(|n| n.budget).collect();
         while let Some(Reach { left, node, source }) = heap.pop() {
-            if left < self.nodes[node as usize].budget || self.nodes.len() > WIDEST {
+            if left < self.nodes[node as usize].budget || self.nodes.len() > self.widest() {
                 continue;
             }
             let from = self.nodes[source as usize].at;
@@ -401,7 +560,7 @@ impl Trial<'_> {
 
     /// Collects the faces with a corner that moves.
     fn gather(&mut self) -> Result<(), Reason> {
-        if self.nodes.len() > WIDEST {
+        if self.nodes.len() > self.widest() {
             return Err(Reason::Local);
         }
         for n in 0..self.nodes.len() {

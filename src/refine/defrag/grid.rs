@@ -3,7 +3,7 @@
 //! A loose grid on several levels: a face lies in the one cell that its middle is in, on the level whose cells are as large as it
 //! is; so adding and removing cost nothing to speak of, and a query looks half a cell further.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
 use glam::DVec2;
@@ -14,9 +14,7 @@ use crate::atlas::bvh::Bounds;
 const LEVELS: usize = 32;
 
 /// Maps of small whole numbers.
-pub(super) type MixedMap<K, V> = HashMap<K, V, BuildHasherDefault<Mix>>;
-/// Sets of them.
-pub(super) type MixedSet<K> = HashSet<K, BuildHasherDefault<Mix>>;
+type MixedMap<K, V> = HashMap<K, V, BuildHasherDefault<Mix>>;
 
 /// The grid of one chart.
 #[derive(Debug, Clone, Default)]

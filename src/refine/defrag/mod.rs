@@ -17,25 +17,24 @@ mod queue;
 mod tests;
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
-use self::attempt::{Attempt, Reason, Scratch, attempt};
+use self::attempt::{Attempt, Pool, Quit, Reason, attempt};
 use self::mesh::Mesh;
 use self::params::{Defrag, Search};
 use self::queue::Queue;
 use super::options::{Options, OverlapMode, Rotation};
 use super::pack::{keeps_input, lay_out};
 use super::stage::{Frame, Staged};
-use crate::atlas::bvh::Bounds;
 use crate::atlas::{Atlas, Charts, NONE, Topology, clusters};
 use crate::context::Context;
 use crate::error::{Result, Warning};
 
-/// Operations that are tried at once, ahead of their turn.
-const AHEAD: usize = 16;
+/// Operations that are tried ahead of their turn at most.
+const AHEAD: usize = 64;
 
 /// Merges charts and packs them.
 ///
@@ -102,7 +101,7 @@ fn merge_charts(
     context.step(0.02, "finding seams")?;
     let mut mesh = Mesh::new(atlas, charts, open, !frame.directions);
     let mut queue = Queue::new(&mesh, params, f64::from(frame.unit), context.seed ^ options.seed);
-    let pool: Mutex<Vec<Scratch>> = Mutex::new(Vec::new());
+    let pool = Pool::default();
     let weight: f64 = mesh.weight.iter().sum::<f64>().max(1e-300);
     let surface: f64 = mesh.area.iter().sum();
     // Length of all seams, each once.
@@ -147,7 +146,8 @@ fn merge_charts(
             if params.search == Search::Partial && lost > params.resampling_rate * gained + 0.001 {
                 return Err(Reason::Resampled);
             }
-            if !border::stays_flat(&mesh, &merge.zip, op.kept == op.moved) {
+            // Elsewhere its border may have changed since it was tried.
+            if !pool.stays_flat(&mesh, &merge.zip, op.kept == op.moved) {
                 return Err(Reason::Topology);
             }
             Ok((merge, after))
@@ -183,40 +183,37 @@ fn merge_charts(
     Ok((mesh, figures))
 }
 
-/// Tries an operation, and at the same time those that follow: an attempt changes nothing, and stands as long as nothing changes that it
-/// depends on. So the result is that of trying one after the other.
-fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, pool: &Mutex<Vec<Scratch>>) {
-    let mut batch = vec![entry];
-    let mut others = Vec::new();
-    let ahead = if rayon::current_num_threads() > 1 { AHEAD } else { 1 };
-    while batch.len() < ahead && others.len() < 2 * ahead {
-        let Some(next) = queue.pop() else { break };
-        others.push(next);
-        if queue.is_open(mesh, next) {
-            batch.push(next);
+/// Tries an operation and, while that takes long, those that follow: an attempt changes nothing, and stands as long as nothing changes
+/// that it depends on. So the result is that of trying one after the other.
+fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, pool: &Pool) {
+    let known = &*queue;
+    let attempted = |e: u32, quit: Quit<'_>, heavy: &(dyn Fn() + Sync)| {
+        attempt(mesh, &known.entries[e as usize].op, params, pool, quit, heavy)
+    };
+    let (started, done) = (AtomicBool::new(rayon::current_num_threads() == 1), AtomicBool::new(false));
+    let found: Mutex<Vec<(u32, Option<Attempt>)>> = Mutex::new(Vec::new());
+    let add = |e, attempt| found.lock().unwrap_or_else(PoisonError::into_inner).push((e, attempt));
+    rayon::scope(|scope| {
+        let meanwhile = || {
+            if started.swap(true, Ordering::Relaxed) {
+                return;
+            }
+            for e in known.upcoming(mesh, AHEAD) {
+                let (attempted, add, done) = (&attempted, &add, &done);
+                scope.spawn(move |_| {
+                    if !done.load(Ordering::Relaxed) {
+                        add(e, attempted(e, Quit::when(done), &|| {}));
+                    }
+                });
+            }
+        };
+        add(entry, attempted(entry, Quit::default(), &meanwhile));
+        done.store(true, Ordering::Relaxed);
+    });
+    for (e, attempt) in found.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        match attempt {
+            Some(attempt) => queue.remember(mesh, e, attempt),
+            None => queue.entries[e as usize].dear = true,
         }
-    }
-    let entries = &queue.entries;
-    let found: Vec<Attempt> = batch
-        .par_iter()
-        // Some take a thousand times longer than others.
-        .with_max_len(1)
-        .map(|&e| {
-            let mut scratch = pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-            let op = &entries[e as usize].op;
-            let found = if border::stays_flat(mesh, &operation::pairs(mesh, op), op.kept == op.moved) {
-                attempt(mesh, op, params, &mut scratch)
-            } else {
-                Attempt { outcome: Err(Reason::Topology), region: Bounds::EMPTY, work: op.edges.len() as u64 }
-            };
-            pool.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
-            found
-        })
-        .collect();
-    for (&e, attempt) in batch.iter().zip(found) {
-        queue.remember(mesh, e, attempt);
-    }
-    for e in others {
-        queue.push(e);
     }
 }

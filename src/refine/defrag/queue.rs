@@ -10,8 +10,8 @@ use super::params::{Defrag, Search};
 use crate::atlas::bvh::Bounds;
 use crate::packing::Random;
 
-/// Mean misalignment of a seam, in its lengths, beyond which merges all but never succeed.
-const CROOKED: f64 = 0.6;
+/// Mean misalignment, in lengths of the seam, beyond which merges all but never succeed: of a stretch, and of a seam within a chart.
+const CROOKED: [f64; 2] = [0.6, 1.6];
 
 /// Texels of misalignment that are not too many whatever the length.
 const NEAR: f64 = 4.0;
@@ -20,7 +20,7 @@ const NEAR: f64 = 4.0;
 const PART: f64 = 0.5;
 
 /// Work that may be spent on an operation that fails.
-const RETRY: f64 = 5e4;
+const RETRY: u64 = 10_000;
 
 /// Work on an operation beyond which it is tried ahead of its turn only once: what it depends on changes too soon.
 const DEAR: u64 = 2_000;
@@ -49,12 +49,24 @@ pub(super) struct Entry {
     stamp: u32,
     /// Whether its parts are in the queue.
     apart: bool,
+    /// Work on the last attempt that failed.
+    spent: u64,
     /// What was found out ahead of its turn, or why it failed.
     pub known: Known,
+    /// Took longer, ahead of its turn, than there was time.
+    pub dear: bool,
 }
 
 /// An attempt, with the number of changes of both charts by then.
 type Known = Option<(Attempt, [usize; 2])>;
+
+/// What an operation takes over from the one on the same edges before it.
+#[derive(Debug, Default)]
+struct Former {
+    fails: u32,
+    spent: u64,
+    known: Known,
+}
 
 /// All seams between two charts, or within one.
 #[derive(Debug, Default)]
@@ -135,10 +147,25 @@ impl<'a> Queue<'a> {
         (untouched && same).then_some(attempt)
     }
 
+    /// Those of the next `most` operations that are to be tried ahead of their turn, in order.
+    pub(super) fn upcoming(&self, mesh: &Mesh, most: usize) -> Vec<u32> {
+        let waits = |turn: &&Turn| {
+            let entry = &self.entries[turn.entry as usize];
+            entry.stamp == turn.stamp && entry.standing == Standing::Queued
+        };
+        let mut turns: Vec<&Turn> = self.heap.iter().filter(waits).collect();
+        if turns.len() > most {
+            turns.select_nth_unstable_by(most, |a, b| b.cmp(a));
+            turns.truncate(most);
+        }
+        turns.sort_unstable_by(|a, b| b.cmp(a));
+        turns.into_iter().map(|turn| turn.entry).filter(|&e| self.is_open(mesh, e)).collect()
+    }
+
     /// Whether it is to be tried ahead of its turn: not yet, or cheaply, and not as things are now.
-    pub(super) fn is_open(&self, mesh: &Mesh, entry: u32) -> bool {
-        let stale = self.entries[entry as usize].known.as_ref();
-        stale.is_none_or(|(attempt, _)| attempt.work <= DEAR) && self.known(mesh, entry).is_none()
+    fn is_open(&self, mesh: &Mesh, entry: u32) -> bool {
+        let own = &self.entries[entry as usize];
+        !own.dear && own.known.as_ref().is_none_or(|(stale, _)| stale.work <= DEAR) && self.known(mesh, entry).is_none()
     }
 
     /// Remembers what was found out.
@@ -152,6 +179,7 @@ impl<'a> Queue<'a> {
     pub(super) fn failed(&mut self, mesh: &Mesh, entry: u32, reason: Reason) {
         let own = &mut self.entries[entry as usize];
         own.op.fails += 1;
+        own.spent = own.known.as_ref().map_or(0, |(attempt, _)| attempt.work);
         own.standing =
             if matches!(reason, Reason::Global | Reason::Resampled) { Standing::Gone } else { Standing::Failed };
         let first = !std::mem::replace(&mut own.apart, true);
@@ -173,38 +201,52 @@ impl<'a> Queue<'a> {
             Kind::Run | Kind::Within | Kind::Stretch => halves(mesh, edges),
         };
         for (kind, edges) in parts {
-            self.add(mesh, link, kind, edges, 0);
+            self.add(mesh, link, kind, edges, Former::default());
         }
     }
 
-    /// Makes an operation; gives its entry, unless it is none or is taken apart at once.
-    fn add(&mut self, mesh: &Mesh, link: u32, kind: Kind, edges: Vec<u32>, fails: u32) -> Option<u32> {
+    /// Makes an operation, unless it is none or is taken apart at once.
+    fn add(&mut self, mesh: &Mesh, link: u32, kind: Kind, edges: Vec<u32>, former: Former) {
         let chance = self.random.unit();
-        let op = Operation::new(mesh, kind, edges, fails, self.params, self.unit, chance)?;
+        let Some(op) = Operation::new(mesh, kind, edges, former.fails, self.params, self.unit, chance) else { return };
+        let crooked = match kind {
+            Kind::Stretch => CROOKED[0],
+            Kind::Within => CROOKED[1],
+            Kind::Whole | Kind::Run => f64::INFINITY,
+        };
         if self.params.search == Search::Partial
-            && kind == Kind::Stretch
-            && op.cost > CROOKED * 0.5 * (op.lengths[0] + op.lengths[1])
+            && op.cost > crooked * 0.5 * (op.lengths[0] + op.lengths[1])
             && op.cost > NEAR
         {
             // Hopeless as it is: its parts may do.
             self.take_apart(mesh, link, kind, &op.edges);
-            return None;
+            return;
         }
         let entry = self.entries.len() as u32;
         let small = self.is_small(mesh, &op);
-        self.entries.push(Entry { op, standing: Standing::Small, link, stamp: 0, apart: false, known: None });
+        let Former { spent, known, .. } = former;
+        self.entries.push(Entry {
+            op,
+            standing: Standing::Small,
+            link,
+            stamp: 0,
+            apart: false,
+            spent,
+            known,
+            dear: false,
+        });
         self.links[link as usize].entries.push(entry);
-        if !small {
+        if !self.may_retry(entry) {
+            self.entries[entry as usize].standing = Standing::Failed;
+        } else if !small {
             self.push(entry);
         }
-        Some(entry)
     }
 
     /// Whether an operation that failed is worth another try: the dearer it is, the fewer.
     fn may_retry(&self, entry: u32) -> bool {
         let own = &self.entries[entry as usize];
-        self.params.search == Search::Paper
-            || own.known.as_ref().is_none_or(|(attempt, _)| u64::from(own.op.fails) * attempt.work <= RETRY as u64)
+        self.params.search == Search::Paper || u64::from(own.op.fails) * own.spent <= RETRY
     }
 
     fn is_small(&self, mesh: &Mesh, op: &Operation) -> bool {
@@ -222,7 +264,7 @@ impl<'a> Queue<'a> {
         // What was only tried ahead of its turn makes no difference to what is queued.
         let same: BTreeSet<&Vec<u32>> = groups.iter().collect();
         let mut kept: BTreeSet<Vec<u32>> = BTreeSet::new();
-        let mut former: BTreeMap<Vec<u32>, (u32, Known)> = BTreeMap::new();
+        let mut former: BTreeMap<Vec<u32>, Former> = BTreeMap::new();
         for entry in old {
             let own = &self.entries[entry as usize];
             let goes_on = within
@@ -238,23 +280,22 @@ impl<'a> Queue<'a> {
                 continue;
             }
             own.standing = Standing::Gone;
-            let ahead = own.known.take().filter(|_| known);
+            let known = own.known.take().filter(|_| known);
             if goes_on {
-                former.insert(own.op.edges.clone(), (own.op.fails, ahead));
+                former.insert(own.op.edges.clone(), Former { fails: own.op.fails, spent: own.spent, known });
             }
         }
         if edges.is_empty() {
             return;
         }
         if !within {
-            self.add(mesh, link, Kind::Whole, edges, fails);
+            self.add(mesh, link, Kind::Whole, edges, Former { fails, ..Former::default() });
             return;
         }
         for group in groups.into_iter().filter(|g| !kept.contains(g)) {
-            let (fails, known) = former.remove(&group).unwrap_or((fails.min(8), None));
-            if let Some(entry) = self.add(mesh, link, Kind::Within, group, fails) {
-                self.entries[entry as usize].known = known;
-            }
+            let new = || Former { fails: fails.min(8), ..Former::default() };
+            let former = former.remove(&group).unwrap_or_else(new);
+            self.add(mesh, link, Kind::Within, group, former);
         }
     }
 

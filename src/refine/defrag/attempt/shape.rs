@@ -67,6 +67,7 @@ impl Trial<'_> {
                 return Err(Reason::Fold);
             }
             rounds -= FIRST;
+            self.go_on()?;
         }
         system.relax(&mut positions, rounds, SETTLED * displaced);
         self.work += (rounds / 4 * self.band.len()) as u64;
@@ -120,6 +121,7 @@ impl Trial<'_> {
                     triangles.iter().filter(|t| t.iter().any(|v| near[*v as usize])).flatten().copied().collect();
                 ring.into_iter().for_each(|v| near[v as usize] = true);
             }
+            self.go_on()?;
             let own: Vec<usize> =
                 (0..triangles.len()).filter(|&i| triangles[i].iter().any(|v| near[*v as usize])).collect();
             let (own_triangles, own_rest): (Vec<_>, Vec<_>) = own.iter().map(|&i| (triangles[i], rest[i])).unzip();
