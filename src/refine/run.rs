@@ -9,7 +9,7 @@ use super::load::load;
 use super::options::{Gutter, Options, Pack, Stage};
 use super::report::{Refinement, report};
 use super::stage::{Frame, Staged};
-use super::textures::bake_slots;
+use super::textures::{bake_slots, decode_first};
 use super::{check, fabrication, pack};
 use crate::asset::{File, Limits};
 use crate::atlas::Atlas;
@@ -96,12 +96,21 @@ pub fn refine(input: &Input, options: &Options, context: &Context) -> Result<Out
     context.enter(0);
     let loaded = load(input, options, true, context)?;
     let mut refinements: Vec<Refinement> = loaded.groups.iter().map(Refinement::untouched).collect();
-    for (n, stage) in stages.iter().enumerate() {
-        context.enter(1 + n);
-        for refinement in &mut refinements {
-            run_stage(stage, refinement, options, context)?;
+    let max_pixels = input.limits.max_image_pixels;
+    let mut run_stages = || {
+        for (n, stage) in stages.iter().enumerate() {
+            context.enter(1 + n);
+            for refinement in &mut refinements {
+                run_stage(stage, refinement, options, context)?;
+            }
         }
-    }
+        Ok::<(), Failure>(())
+    };
+    // Stages leave threads idle, and decoders use one.
+    let first = loaded.groups.first().filter(|_| !stages.is_empty());
+    let decode = || first.and_then(|group| decode_first(&loaded, group, max_pixels));
+    let (done, mut decoded) = rayon::join(&mut run_stages, decode);
+    done?;
 
     context.enter(1 + stages.len());
     let count = refinements.len();
@@ -112,7 +121,8 @@ pub fn refine(input: &Input, options: &Options, context: &Context) -> Result<Out
             r.group,
             &r.atlas,
             &options.texture,
-            input.limits.max_image_pixels,
+            max_pixels,
+            decoded.take().filter(|_| n == 0),
             context,
             &progress,
         )?;

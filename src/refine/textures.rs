@@ -44,7 +44,22 @@ pub struct BakedFile {
     pub bytes: Vec<u8>,
 }
 
-/// Bakes every slot of the group that is not exempt, one at a time. `progress` maps the fraction of this set to that of the stage.
+/// The decoded images of a slot, or why there are none.
+pub type Decoded = Result<Vec<Image>>;
+
+/// The images that [`bake_slots`] needs first: they can be decoded while something else is computed.
+pub fn decode_first(loaded: &Loaded, group: &Group, max_pixels: u64) -> Option<Decoded> {
+    let (index, slot) = active(group).next()?;
+    Some(source_images(loaded, group, index, slot, max_pixels))
+}
+
+/// Slots that are not exempt, and their indices.
+fn active(group: &Group) -> impl Iterator<Item = (usize, &Slot)> {
+    group.set().slots.iter().enumerate().filter(|(_, s)| !s.exempt)
+}
+
+/// Bakes every slot of the group that is not exempt, one at a time; `first` is what [`decode_first`] gave, where it was asked. `progress`
+/// maps the fraction of this set to that of the stage.
 ///
 /// # Errors
 /// `invalid_image` with a pointer for an image that cannot be decoded, `too_large`, `canceled`.
@@ -54,14 +69,16 @@ pub fn bake_slots(
     after: &Atlas,
     options: &Texture,
     max_pixels: u64,
+    mut first: Option<Decoded>,
     context: &Context,
     progress: &dyn Fn(f64) -> f64,
 ) -> Result<Vec<BakedSlot>> {
-    let active: Vec<(usize, &Slot)> = group.set().slots.iter().enumerate().filter(|(_, s)| !s.exempt).collect();
+    let count = active(group).count();
     let mut baked = Vec::new();
-    for (n, (index, slot)) in active.iter().enumerate() {
-        context.step(progress(n as f64 / active.len() as f64), &slot.name)?;
-        baked.push(bake_slot(loaded, group, after, options, max_pixels, (*index, slot), context)?);
+    for (n, (index, slot)) in active(group).enumerate() {
+        context.step(progress(n as f64 / count as f64), &slot.name)?;
+        let images = first.take().unwrap_or_else(|| source_images(loaded, group, index, slot, max_pixels))?;
+        baked.push(bake_slot(loaded, group, after, options, (index, slot), images, context)?);
     }
     Ok(baked)
 }
@@ -120,8 +137,8 @@ fn bake_slot(
     group: &Group,
     after: &Atlas,
     options: &Texture,
-    max_pixels: u64,
     (index, slot): (usize, &Slot),
+    images: Vec<Image>,
     context: &Context,
 ) -> Result<BakedSlot> {
     let set = group.set();
@@ -131,7 +148,6 @@ fn bake_slot(
         Some(Upload { format, lossy: is_lossy(file), bytes: file.len() as u64 })
     });
     let plan = Plan::new(slot, uploads.collect(), options.format);
-    let images = source_images(loaded, group, index, slot, max_pixels)?;
     // By source: its readers with equal wrap modes.
     let readers: Vec<Vec<([Wrap; 2], Vec<u32>)>> = group
         .sources(index)
@@ -193,7 +209,7 @@ fn uploaded<'a>(loaded: &'a Loaded, member: &Member, own: usize) -> Option<&'a [
 }
 
 /// The decoded images of a slot, with the channels and bits of the slot, in the order of its sources.
-fn source_images(loaded: &Loaded, group: &Group, index: usize, slot: &Slot, max_pixels: u64) -> Result<Vec<Image>> {
+fn source_images(loaded: &Loaded, group: &Group, index: usize, slot: &Slot, max_pixels: u64) -> Decoded {
     let mut images = Vec::new();
     for (member, own) in group.sources(index) {
         let image = member.set.slots[own].image;
