@@ -9,7 +9,7 @@ use super::load::load;
 use super::options::{Gutter, Options, Pack, Stage};
 use super::report::{Refinement, report};
 use super::stage::{Frame, Staged};
-use super::textures::{bake_slots, decode_first};
+use super::textures::{Images, bake_slots};
 use super::{check, fabrication, pack};
 use crate::asset::{File, Limits};
 use crate::atlas::Atlas;
@@ -107,25 +107,17 @@ pub fn refine(input: &Input, options: &Options, context: &Context) -> Result<Out
         Ok::<(), Failure>(())
     };
     // Stages leave threads idle, and decoders use one.
-    let first = loaded.groups.first().filter(|_| !stages.is_empty());
-    let decode = || first.and_then(|group| decode_first(&loaded, group, max_pixels));
-    let (done, mut decoded) = rayon::join(&mut run_stages, decode);
+    let images = |group| Images::new(&loaded, group, max_pixels);
+    let begin = || loaded.groups.first().map(|group| images(group).begun());
+    let (done, mut begun) = rayon::join(&mut run_stages, begin);
     done?;
 
     context.enter(1 + stages.len());
     let count = refinements.len();
     for (n, r) in refinements.iter_mut().enumerate().filter(|(_, r)| !r.kept) {
         let progress = |fraction: f64| (n as f64 + fraction) / count as f64;
-        r.slots = bake_slots(
-            &loaded,
-            r.group,
-            &r.atlas,
-            &options.texture,
-            max_pixels,
-            decoded.take().filter(|_| n == 0),
-            context,
-            &progress,
-        )?;
+        let images = begun.take().filter(|_| n == 0).unwrap_or_else(|| images(r.group));
+        r.slots = bake_slots(images, &r.atlas, &options.texture, context, &progress)?;
     }
 
     context.enter(2 + stages.len());

@@ -44,13 +44,44 @@ pub struct BakedFile {
     pub bytes: Vec<u8>,
 }
 
-/// The decoded images of a slot, or why there are none.
-pub type Decoded = Result<Vec<Image>>;
+/// The uploaded images of a group.
+pub struct Images<'a> {
+    loaded: &'a Loaded,
+    group: &'a Group,
+    max_pixels: u64,
+    /// Those of the first slot that is baked, or why there are none, when they have been decoded.
+    first: Option<Result<Vec<Image>>>,
+}
 
-/// The images that [`bake_slots`] needs first: they can be decoded while something else is computed.
-pub fn decode_first(loaded: &Loaded, group: &Group, max_pixels: u64) -> Option<Decoded> {
-    let (index, slot) = active(group).next()?;
-    Some(source_images(loaded, group, index, slot, max_pixels))
+impl<'a> Images<'a> {
+    /// None of them decoded yet; none may have more than `max_pixels`.
+    pub fn new(loaded: &'a Loaded, group: &'a Group, max_pixels: u64) -> Self {
+        Images { loaded, group, max_pixels, first: None }
+    }
+
+    /// Those that are needed first decoded: that can be done while something else is computed.
+    pub fn begun(mut self) -> Self {
+        let first = active(self.group).next();
+        self.first = first.map(|(index, slot)| self.decoded(index, slot));
+        self
+    }
+
+    /// The images of a slot, with its channels and bits, in the order of its sources.
+    fn decoded(&self, index: usize, slot: &Slot) -> Result<Vec<Image>> {
+        let mut images = Vec::new();
+        for (member, own) in self.group.sources(index) {
+            let image = member.set.slots[own].image;
+            let pointer = format!("/images/{image}");
+            let encoded = uploaded(self.loaded, member, own)
+                .ok_or_else(|| Failure::new(Code::MissingFile, "the image is missing").at(&pointer))?;
+            let decoded = decode(encoded, self.max_pixels).map_err(|f| f.at(&pointer))?;
+            images.push(match self.group.is_joined() {
+                true => decoded.widened(slot.header.channels, slot.header.depth),
+                false => decoded,
+            });
+        }
+        Ok(images)
+    }
 }
 
 /// Slots that are not exempt, and their indices.
@@ -58,26 +89,23 @@ fn active(group: &Group) -> impl Iterator<Item = (usize, &Slot)> {
     group.set().slots.iter().enumerate().filter(|(_, s)| !s.exempt)
 }
 
-/// Bakes every slot of the group that is not exempt, one at a time; `first` is what [`decode_first`] gave, where it was asked. `progress`
-/// maps the fraction of this set to that of the stage.
+/// Bakes every slot of the group that is not exempt, one at a time. `progress` maps the fraction of this set to that of the stage.
 ///
 /// # Errors
 /// `invalid_image` with a pointer for an image that cannot be decoded, `too_large`, `canceled`.
 pub fn bake_slots(
-    loaded: &Loaded,
-    group: &Group,
+    mut images: Images<'_>,
     after: &Atlas,
     options: &Texture,
-    max_pixels: u64,
-    mut first: Option<Decoded>,
     context: &Context,
     progress: &dyn Fn(f64) -> f64,
 ) -> Result<Vec<BakedSlot>> {
+    let (loaded, group) = (images.loaded, images.group);
     let count = active(group).count();
     let mut baked = Vec::new();
     for (n, (index, slot)) in active(group).enumerate() {
         context.step(progress(n as f64 / count as f64), &slot.name)?;
-        let images = first.take().unwrap_or_else(|| source_images(loaded, group, index, slot, max_pixels))?;
+        let images = images.first.take().unwrap_or_else(|| images.decoded(index, slot))?;
         baked.push(bake_slot(loaded, group, after, options, (index, slot), images, context)?);
     }
     Ok(baked)
@@ -206,23 +234,6 @@ fn bake_slot(
 fn uploaded<'a>(loaded: &'a Loaded, member: &Member, own: usize) -> Option<&'a [u8]> {
     let model = loaded.models.get(member.model)?;
     model.doc.images.get(member.set.slots.get(own)?.image)?.as_deref()
-}
-
-/// The decoded images of a slot, with the channels and bits of the slot, in the order of its sources.
-fn source_images(loaded: &Loaded, group: &Group, index: usize, slot: &Slot, max_pixels: u64) -> Decoded {
-    let mut images = Vec::new();
-    for (member, own) in group.sources(index) {
-        let image = member.set.slots[own].image;
-        let pointer = format!("/images/{image}");
-        let encoded = uploaded(loaded, member, own)
-            .ok_or_else(|| Failure::new(Code::MissingFile, "the image is missing").at(&pointer))?;
-        let decoded = decode(encoded, max_pixels).map_err(|f| f.at(&pointer))?;
-        images.push(match group.is_joined() {
-            true => decoded.widened(slot.header.channels, slot.header.depth),
-            false => decoded,
-        });
-    }
-    Ok(images)
 }
 
 /// The sheet of one texel of a slot: what makes an image of one texel as fine as the slot.
