@@ -108,9 +108,10 @@ pub fn refine(input: &Input, options: &Options, context: &Context) -> Result<Out
     };
     // Stages leave threads idle, and decoders use one.
     let images = |group| Images::new(&loaded, group, max_pixels);
-    let begin = || loaded.groups.first().map(|group| images(group).begun());
-    let (done, mut begun) = rayon::join(&mut run_stages, begin);
+    let begin = || loaded.groups.first().map(|group| images(group).begun(context));
+    let (done, begun) = rayon::join(&mut run_stages, begin);
     done?;
+    let mut begun = begun.filter(|_| refinements.first().is_some_and(|r| !r.kept));
 
     context.enter(1 + stages.len());
     let count = refinements.len();

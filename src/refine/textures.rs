@@ -60,8 +60,8 @@ impl<'a> Images<'a> {
     }
 
     /// Those that are needed first decoded: that can be done while something else is computed.
-    pub fn begun(mut self) -> Self {
-        let first = active(self.group).next();
+    pub fn begun(mut self, context: &Context) -> Self {
+        let first = active(self.group).next().filter(|_| context.check().is_ok());
         self.first = first.map(|(index, slot)| self.decoded(index, slot));
         self
     }

@@ -86,7 +86,8 @@ pub(super) struct Merge {
     pub energy: f64,
 }
 
-/// The outcome, and where it depends on the kept chart: as long as nothing changes there, nor the moved chart, it stands.
+/// The outcome, and where it depends on the kept chart: as long as nothing changes there, nor the moved chart, it stands. Only whether
+/// the chart stays flat is a matter of all of its border.
 #[derive(Debug, Clone)]
 pub(super) struct Attempt {
     /// The merge, or why there is none.
@@ -95,6 +96,8 @@ pub(super) struct Attempt {
     pub region: Bounds,
     /// Faces looked at.
     pub work: u64,
+    /// Whether it was an island that came, which may be deformed more.
+    pub island: bool,
 }
 
 /// Who gives way where a seam does not fit.
@@ -147,11 +150,6 @@ impl Pool {
         own().push(scratch);
         result
     }
-
-    /// See [`Loops::stays_flat`].
-    pub(super) fn stays_flat(&self, mesh: &Mesh, zip: &[(u32, u32)], within: bool) -> bool {
-        self.with(|scratch| scratch.loops.stays_flat(mesh, zip, within))
-    }
 }
 
 /// Says that nobody waits for an attempt any more.
@@ -173,6 +171,11 @@ impl<'a> Quit<'a> {
     }
 }
 
+/// Whether the operation leaves a flat chart with a border.
+pub(super) fn stays_flat(mesh: &Mesh, op: &Operation, pool: &Pool) -> bool {
+    pool.with(|scratch| scratch.loops.stays_flat(mesh, &pairs(mesh, op), op.kept == op.moved))
+}
+
 /// Tries the operation; `None` only where `quit` says that nobody waits for it. Calls `heavy` where it is going to take long.
 pub(super) fn attempt(
     mesh: &Mesh,
@@ -182,9 +185,9 @@ pub(super) fn attempt(
     quit: Quit<'_>,
     heavy: &(dyn Fn() + Sync),
 ) -> Option<Attempt> {
-    let mut so_far = Attempt { outcome: Err(Reason::Singular), region: Bounds::EMPTY, work: 0 };
-    if !pool.stays_flat(mesh, &pairs(mesh, op), op.kept == op.moved) {
-        return Some(Attempt { outcome: Err(Reason::Topology), work: op.edges.len() as u64, ..so_far });
+    let mut so_far = Attempt::failed(mesh, op, params, Reason::Singular);
+    if !stays_flat(mesh, op, pool) {
+        return Some(Attempt::not_flat(mesh, op, params));
     }
     let partial = params.search == Search::Partial;
     // A chart that keeps its texels is left alone where the other, which is resampled anyway, can do the fitting.
@@ -197,7 +200,7 @@ pub(super) fn attempt(
             pool.with(|scratch| {
                 let mut mean = Trial::new(mesh, op, params, (Target::Mean, wide), scratch, quit);
                 let prepared = mean.prepare();
-                if first && mean.is_heavy() {
+                if first && prepared.is_ok() && mean.is_heavy() {
                     heavy();
                 }
                 mean.finish(prepared)
@@ -213,7 +216,7 @@ pub(super) fn attempt(
         let (kept, mean) = pool.with(|scratch| {
             let mut kept = Trial::new(mesh, op, params, (Target::Kept, wide), scratch, quit);
             let prepared = kept.prepare();
-            let both = kept.is_heavy() && rayon::current_num_threads() > 1;
+            let both = prepared.is_ok() && kept.is_heavy() && rayon::current_num_threads() > 1;
             let kept = || {
                 if both {
                     heavy();
@@ -234,6 +237,16 @@ pub(super) fn attempt(
 }
 
 impl Attempt {
+    /// One that failed before it looked at anything.
+    fn failed(mesh: &Mesh, op: &Operation, params: &Defrag, reason: Reason) -> Self {
+        Attempt { outcome: Err(reason), region: Bounds::EMPTY, work: 0, island: op.is_island(mesh, params) }
+    }
+
+    /// That of an operation that would not leave a flat chart.
+    pub(super) fn not_flat(mesh: &Mesh, op: &Operation, params: &Defrag) -> Self {
+        Attempt { work: op.edges.len() as u64, ..Attempt::failed(mesh, op, params, Reason::Topology) }
+    }
+
     /// Whether no other way is to be tried: what collides without any deformation does so whoever gives way.
     fn decides(&self) -> bool {
         !matches!(self.outcome, Err(reason) if reason != Reason::Collision)
@@ -325,7 +338,8 @@ impl<'a> Trial<'a> {
     /// The rest of it; `None` where nobody waits for it.
     fn finish(mut self, seam: Result<Seam, Reason>) -> Option<Attempt> {
         let outcome = seam.and_then(|seam| self.fit(seam));
-        (!self.gave_up).then_some(Attempt { outcome, region: self.region, work: self.work })
+        let island = self.op.is_island(self.mesh, self.params);
+        (!self.gave_up).then_some(Attempt { outcome, region: self.region, work: self.work, island })
     }
 
     /// Gives up where nobody waits for what takes long.

@@ -61,24 +61,25 @@ impl Grid {
     /// Calls `visit` with every face whose bounds meet `bounds`, in an order that depends only on what was done, until it says
     /// `false`. `all` are the chart's faces: they are walked, all of them, where cells would be more.
     pub(super) fn query(&self, bounds: &Bounds, all: &[u32], mut visit: impl FnMut(u32) -> bool) {
-        for level in 0..LEVELS {
-            let count = self.count[level];
-            if count == 0 {
-                continue;
-            }
+        let levels = || (0..LEVELS).filter(|&level| self.count[level] > 0);
+        // Cells of a level that the query looks at: the first and the last, and how many.
+        let window = |level: usize| {
             let side = self.cell * f64::from(1u32 << level.min(31));
             let half = DVec2::splat(0.5 * side);
             let (low, high) = ((bounds.min - half) / side, (bounds.max + half) / side);
             let spread = high - low + 1.0;
-            let cells = spread.x * spread.y;
-            if cells > 4.0 * f64::from(count) + 64.0 || cells.is_nan() {
-                for &face in all {
-                    if !visit(face) {
-                        return;
-                    }
-                }
-                return;
-            }
+            (low, high, spread.x * spread.y)
+        };
+        let too_many = |level: usize| {
+            let cells = window(level).2;
+            cells > 4.0 * f64::from(self.count[level]) + 64.0 || cells.is_nan()
+        };
+        if levels().any(too_many) {
+            all.iter().all(|face| visit(*face));
+            return;
+        }
+        for level in levels() {
+            let (low, high, _) = window(level);
             for y in cell(low.y)..=cell(high.y) {
                 for x in cell(low.x)..=cell(high.x) {
                     for (face, own) in self.cells.get(&(level as u32, x, y)).into_iter().flatten() {

@@ -121,14 +121,19 @@ fn merge_charts(
             stopped_by = if work > budget { "work_budget" } else { "time_limit" };
             break;
         }
-        if queue.known(&mesh, entry).is_none() {
+        // Whether the chart stays flat is a matter of its whole border: what was found out ahead of its turn does not count.
+        let op = &queue.entries[entry as usize].op;
+        if !attempt::stays_flat(&mesh, op, &pool) {
+            let attempt = Attempt::not_flat(&mesh, op, params);
+            queue.remember(&mesh, entry, attempt);
+        } else if queue.known(&mesh, entry).is_none_or(|a| matches!(a.outcome, Err(Reason::Topology))) {
             look_ahead(&mesh, &mut queue, entry, params, &pool);
             let done = 1.0 - (queue.len() as f64 / start as f64).min(1.0);
             context.step(0.05 + 0.65 * done, "merging charts")?;
         }
         tried += 1;
         let known = queue.known(&mesh, entry).cloned();
-        let Some(Attempt { outcome, region, work: spent }) = known else { continue };
+        let Some(Attempt { outcome, region, work: spent, .. }) = known else { continue };
         work += spent;
         let op = queue.entries[entry as usize].op.clone();
         let verdict = outcome.and_then(|merge| {
@@ -145,10 +150,6 @@ fn merge_charts(
             let gained = 0.5 * op.lengths.iter().sum::<f64>() / border;
             if params.search == Search::Partial && lost > params.resampling_rate * gained + 0.001 {
                 return Err(Reason::Resampled);
-            }
-            // Elsewhere its border may have changed since it was tried.
-            if !pool.stays_flat(&mesh, &merge.zip, op.kept == op.moved) {
-                return Err(Reason::Topology);
             }
             Ok((merge, after))
         });

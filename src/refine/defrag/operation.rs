@@ -134,6 +134,11 @@ impl Operation {
         if self.kept == self.moved { (own + other) / p } else { (own / p).max(other / q) }
     }
 
+    /// Whether the chart that comes is too small to matter.
+    pub(super) fn is_island(&self, mesh: &Mesh, params: &Defrag) -> bool {
+        params.search == Search::Partial && mesh.charts[self.moved as usize].area < params.island_area
+    }
+
     /// The reciprocal of the appeal (eq. 5).
     pub(super) fn ranked(&self, mesh: &Mesh, params: &Defrag) -> f64 {
         let back_off = f64::exp2(f64::from(self.fails.min(60)));

@@ -19,7 +19,7 @@ const NEAR: f64 = 4.0;
 /// The least benefit of a part of a seam, relative to that of a whole one.
 const PART: f64 = 0.5;
 
-/// Work that may be spent on an operation that fails.
+/// Work on an operation that failed, times how often it did, beyond which it is not tried again.
 const RETRY: u64 = 10_000;
 
 /// Work on an operation beyond which it is tried ahead of its turn only once: what it depends on changes too soon.
@@ -144,7 +144,8 @@ impl<'a> Queue<'a> {
         let [kept, moved] = [own.op.kept, own.op.moved].map(|c| &mesh.charts[c as usize].changes);
         let untouched = kept.get(seen[0]..)?.iter().all(|b| !b.meets(&attempt.region));
         let same = own.op.kept == own.op.moved || moved.len() == seen[1];
-        (untouched && same).then_some(attempt)
+        let alike = attempt.island == own.op.is_island(mesh, self.params);
+        (untouched && same && alike).then_some(attempt)
     }
 
     /// Those of the next `most` operations that are to be tried ahead of their turn, in order.
@@ -237,7 +238,11 @@ impl<'a> Queue<'a> {
         });
         self.links[link as usize].entries.push(entry);
         if !self.may_retry(entry) {
-            self.entries[entry as usize].standing = Standing::Failed;
+            // Not it again, but its parts.
+            let own = &mut self.entries[entry as usize];
+            (own.standing, own.apart) = (Standing::Failed, true);
+            let edges = own.op.edges.clone();
+            self.take_apart(mesh, link, kind, &edges);
         } else if !small {
             self.push(entry);
         }

@@ -4,7 +4,7 @@ use super::{Trial, clash};
 use crate::atlas::bvh::Bounds;
 use crate::atlas::rigid::Rigid;
 
-/// Pairs that are found before the search ends.
+/// Pairs that are enough to end the search after a face.
 const MOST: usize = 64;
 /// Faces of a chart that lie in the cells about one, as a rule.
 const AROUND: u64 = 28;
@@ -57,7 +57,8 @@ impl Trial<'_> {
                     if self.scratch.in_band(g).is_none() && clash(mesh, f, at, g, &self.aligned_triangle(g)) {
                         found.push(f);
                     }
-                    found.len() < MOST
+                    // All of this face: what is found does not depend on the order in which the others lie in the grid.
+                    true
                 });
             }
             if found.len() >= MOST {

@@ -164,9 +164,7 @@ impl Trial<'_> {
             energy += self.mesh.energy_at(f, &self.placed_triangle(f));
             weight += self.mesh.weight[f as usize];
         }
-        let small = self.params.search == Search::Partial
-            && self.mesh.charts[self.op.moved as usize].area < self.params.island_area;
-        let limit = self.params.local_energy() * if small { ISLAND } else { 1.0 };
+        let limit = self.params.local_energy() * if self.op.is_island(self.mesh, self.params) { ISLAND } else { 1.0 };
         if energy <= limit * weight + 1e-12 { Ok(()) } else { Err(Reason::Local) }
     }
 }
