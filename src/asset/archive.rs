@@ -34,22 +34,25 @@ pub(crate) fn unpack(path: &str, bytes: &[u8], left: &mut u64) -> Result<Vec<Ent
         let clean = normalise(&name).filter(|_| !name.starts_with(['/', '\\'])).ok_or_else(|| {
             Failure::model(format!("the entry {} of the archive {} leaves its folder", quote(&name), quote(path)))
         })?;
-        // The declared size is not believed: it may be a lie either way.
+        // Nothing is unpacked of what says itself that it is too much; a smaller size is not believed.
+        if file.size() > *left {
+            return Err(too_much(path));
+        }
         let mut bytes = Vec::new();
         let cap = left.saturating_add(1);
         Read::by_ref(&mut file)
             .take(cap)
             .read_to_end(&mut bytes)
             .map_err(|e| damaged(format!("{}: {e}", quote(&name))))?;
-        *left = left.checked_sub(bytes.len() as u64).ok_or_else(|| {
-            Failure::new(
-                Code::TooLarge,
-                format!("the archive {} unpacks to more than the limit on the input", quote(path)),
-            )
-        })?;
+        *left = left.checked_sub(bytes.len() as u64).ok_or_else(|| too_much(path))?;
         entries.push(Entry { path: clean, bytes: Cow::Owned(bytes) });
     }
     Ok(entries)
+}
+
+/// The failure of an archive that unpacks to more than the limit. `path` is what it is called.
+pub(crate) fn too_much(path: &str) -> Failure {
+    Failure::new(Code::TooLarge, format!("the archive {} unpacks to more than the limit on the input", quote(path)))
 }
 
 /// What operating systems leave in archives.
@@ -118,6 +121,14 @@ mod tests {
         let zip = archive(&[("zeros", &vec![0; 1 << 20])]);
         assert!(zip.len() < 10_000);
         assert_eq!(unpack("a.zip", &zip, &mut 1000).unwrap_err().code, Code::TooLarge);
+        // One that declares less is damaged, if not too large.
+        let declared = (1u32 << 20).to_le_bytes();
+        let mut modest = zip.clone();
+        for at in (0..zip.len() - 4).filter(|at| zip[*at..at + 4] == declared) {
+            modest[at..at + 4].copy_from_slice(&7u32.to_le_bytes());
+        }
+        assert_ne!(modest, zip);
+        assert!(unpack("a.zip", &modest, &mut 1000).is_err());
         let zip = archive(&[("../x", b"x")]);
         assert_eq!(unpack("a.zip", &zip, &mut 1000).unwrap_err().code, Code::InvalidModel);
         let names: Vec<String> = (0..10_001).map(|i| i.to_string()).collect();

@@ -308,10 +308,13 @@ impl<'a> Incoming<'a> {
             let at = |stored: &Stored| folder.join(stored.number.to_string());
             let files: Vec<(&str, PathBuf)> = manifest.files.iter().map(|f| (f.path.as_str(), at(f))).collect();
             let files: Vec<(&str, &Path)> = files.iter().map(|(name, path)| (*name, path.as_path())).collect();
-            let bytes = |model: &Stored| estimate((&model.path, &at(model)), &files, &limits).bytes;
-            manifest.models.iter().map(bytes).fold(0, u64::saturating_add)
+            manifest.models.iter().try_fold(0u64, |sum, model| {
+                Ok(sum.saturating_add(estimate((&model.path, &at(model)), &files, &limits)?.bytes))
+            })
         });
-        let bytes = told.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))?;
+        let bytes: Result<u64, Failure> =
+            told.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))?;
+        let bytes = bytes?;
         let most = self.app.jobs.slots.memory();
         if bytes > most {
             let detail =

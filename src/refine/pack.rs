@@ -102,6 +102,31 @@ fn spacing(frame: &Frame, pack: &Pack, scaled: bool) -> Spacing {
     Spacing { gutter, margin: (margin / lattice).ceil() * lattice, lattice: Some(lattice), unit }
 }
 
+/// The longest side that a sheet may have, and what sides are rounded to.
+fn sides(frame: &Frame, options: &Options) -> (f64, Rounding) {
+    let texture = &options.texture;
+    let step = f64::from(lcm(texture.multiple_of, frame.unit));
+    let round = match (frame.is_virtual, texture.power_of_two) {
+        (true, _) => Rounding::MultipleOf(1.0),
+        (false, true) => Rounding::PowerOfTwo(step),
+        (false, false) => Rounding::MultipleOf(step),
+    };
+    ((f64::from(texture.max_size) / step).floor().max(1.0) * step, round)
+}
+
+/// Sides, the longer first, of the largest chart that has a sheet to lie on as it is; none where charts are scaled to a sheet whatever
+/// their size.
+pub(super) fn largest_chart(frame: &Frame, options: &Options) -> Option<[f64; 2]> {
+    if options.texture.size != Size::KeepDensity || options.texture.overflow != Overflow::Pages {
+        return None;
+    }
+    let (max, round) = sides(frame, options);
+    let Spacing { gutter, margin, lattice, unit } = spacing(frame, &options.pack, false);
+    let lost = 2.0 * (margin.max(gutter) + lattice.unwrap_or(unit));
+    let [width, height] = largest_sheet(max, round, options.pack.aspect).map(|side| side - lost);
+    Some([width.max(height), width.min(height)])
+}
+
 fn place(
     pieces: &[Piece],
     frame: &Frame,
@@ -111,20 +136,15 @@ fn place(
     context: &Context,
 ) -> Result<Packing> {
     let texture = &options.texture;
-    let step = f64::from(lcm(texture.multiple_of, frame.unit));
-    let max = f64::from(texture.max_size);
+    let (max, round) = sides(frame, options);
     let request = Request {
         pieces,
         rotation: options.pack.rotation,
         mirror: options.pack.mirror,
         spacing: spacing(frame, &options.pack, false),
         aspect: options.pack.aspect,
-        max: [(max / step).floor().max(1.0) * step; 2],
-        round: match (frame.is_virtual, texture.power_of_two) {
-            (true, _) => Rounding::MultipleOf(1.0),
-            (false, true) => Rounding::PowerOfTwo(step),
-            (false, false) => Rounding::MultipleOf(step),
-        },
+        max: [max; 2],
+        round,
         scale: 1.0,
         search: options.pack.search,
         work_budget: options.work_budget,

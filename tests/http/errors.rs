@@ -1,5 +1,7 @@
 //! What the service refuses at the door, and how it says so.
 
+use std::io::Write;
+
 use serde_json::{Value, json};
 use ureq::Body;
 use ureq::http::Response;
@@ -101,6 +103,17 @@ fn limits_hold() {
     let many = small().file("files", "a", b"").file("files", "b", b"");
     assert_eq!(problem(server.submit(&many))["code"], "too_large");
     assert_eq!(server.submit(&small()).status(), 202);
+    // An archive counts by what is in it.
+    let bomb = || {
+        let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+        zip.start_file("m.obj", zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(&vec![b'#'; 70_000]).unwrap();
+        zip.finish().unwrap().into_inner()
+    };
+    assert!(bomb().len() < 1000);
+    let large = problem(server.submit(&Form::default().file("model", "m.zip", &bomb())));
+    assert_eq!((&large["status"], &large["code"]), (&json!(413), &json!("too_large")));
+    assert!(large["detail"].as_str().unwrap().contains("unpacks"), "{large:#}");
 }
 
 #[test]

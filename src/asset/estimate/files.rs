@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 
 use zip::ZipArchive;
 
-use super::super::archive::{check_entries, is_litter, is_zip};
+use super::super::archive::{check_entries, is_litter, is_zip, too_much};
 use super::super::limits::Limits;
 use super::super::load::{Container, container};
 use super::super::upload::{Entry, Upload, clean_path};
 use super::super::uri::normalise;
+use crate::error::Result;
 use crate::texture::{Header, probe};
 
 /// Bytes by which a file is known.
@@ -87,7 +88,10 @@ pub(super) struct Files {
 
 impl Files {
     /// Looks at files by their names and where they are on the disk. What cannot be opened is left out.
-    pub(super) fn new<'p>(files: impl Iterator<Item = (&'p str, &'p Path)>, limits: &Limits) -> Self {
+    ///
+    /// # Errors
+    /// `too_large` when archives unpack to more than `limits` allow.
+    pub(super) fn new<'p>(files: impl Iterator<Item = (&'p str, &'p Path)>, limits: &Limits) -> Result<Self> {
         let mut all = Files { left: limits.max_input_bytes, ..Files::default() };
         let mut entries = Vec::new();
         for (index, (name, path)) in files.enumerate() {
@@ -99,7 +103,7 @@ impl Files {
             }
             if is_zip(&start) {
                 all.packed = all.packed.saturating_add(length);
-                all.unpack(name, file, &mut entries);
+                all.unpack(name, file, &mut entries)?;
             } else {
                 let mut entry = Entry { path: clean_path(name, index), bytes: Vec::new().into() };
                 let (image, container) = look(&mut entry, &mut file, index == 0);
@@ -108,30 +112,31 @@ impl Files {
             }
         }
         all.upload = Upload::new(entries);
-        all
+        Ok(all)
     }
 
     /// Walks an archive. Its entries are read to their ends and kept nowhere: what they declare is not believed.
-    fn unpack(&mut self, name: &str, mut file: File, entries: &mut Vec<Entry<'static>>) {
+    fn unpack(&mut self, name: &str, mut file: File, entries: &mut Vec<Entry<'static>>) -> Result<()> {
         if check_entries(name, &file).is_err() || file.to(0).is_err() {
-            return;
+            return Ok(());
         }
-        let Ok(mut archive) = ZipArchive::new(BufReader::new(file)) else { return };
+        let Ok(mut archive) = ZipArchive::new(BufReader::new(file)) else { return Ok(()) };
         for index in 0..archive.len() {
             let Ok(file) = archive.by_index(index) else { continue };
-            let name = String::from_utf8_lossy(file.name_raw()).into_owned();
-            let Some(path) = normalise(&name).filter(|_| !file.is_dir() && !is_litter(&name)) else { continue };
+            let inner = String::from_utf8_lossy(file.name_raw()).into_owned();
+            let Some(path) = normalise(&inner).filter(|_| !file.is_dir() && !is_litter(&inner)) else { continue };
             let mut entry = Entry { path, bytes: Vec::new().into() };
-            let mut stream = Stream::new(file.take(self.left));
+            let mut stream = Stream::new(file.take(self.left.saturating_add(1)));
             let (image, container) = look(&mut entry, &mut stream, false);
-            // An entry that breaks off, or breaks the limit, has been read as far as the job will read it.
+            // An entry that breaks off has been read as far as the job will read it.
             let _ = io::copy(&mut stream, &mut io::sink());
-            self.left = self.left.saturating_sub(stream.at);
+            self.left = self.left.checked_sub(stream.at).ok_or_else(|| too_much(name))?;
             let place = Place::Archive(self.archives.len(), index);
             self.known.push(Known { place, length: stream.at, image, container });
             entries.push(entry);
         }
         self.archives.push(archive);
+        Ok(())
     }
 
     /// All files in their order.

@@ -12,6 +12,7 @@ use std::path::Path;
 
 use super::limits::Limits;
 use super::load::Container;
+use crate::error::Result;
 use files::Files;
 use sum::Sum;
 
@@ -30,9 +31,12 @@ pub struct Estimate {
 /// memory at its peak. Files are only looked at: what is held of them is some heads and the part of a glTF JSON that tells sizes, at
 /// most a few times `max_json_bytes` for the worst. Declared sizes are clamped to `limits`, beyond which a job fails; what
 /// cannot be read counts by its length, and the job itself will tell why.
-pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) -> Estimate {
+///
+/// # Errors
+/// `too_large` when archives unpack to more than `max_input_bytes`.
+pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) -> Result<Estimate> {
     let mut sum = Sum::default();
-    let mut all = Files::new(std::iter::once(model).chain(files.iter().copied()), limits);
+    let mut all = Files::new(std::iter::once(model).chain(files.iter().copied()), limits)?;
     sum.files(all.packed);
     let mut models = Vec::new();
     for (index, known) in all.known().iter().enumerate() {
@@ -54,5 +58,5 @@ pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) 
             Container::Glb | Container::Gltf => document::add(&mut all, index, container, limits, &mut sum),
         }
     }
-    sum.estimate(limits)
+    Ok(sum.estimate(limits))
 }

@@ -12,7 +12,7 @@ use super::*;
 use crate::texture::{Samples, decode};
 
 /// Stores files under numbers, as uploads are, and estimates the first with the others.
-fn of(files: &[(&str, &[u8])], limits: &Limits) -> Estimate {
+fn of(files: &[(&str, &[u8])], limits: &Limits) -> Result<Estimate> {
     let folder = TempDir::new().unwrap();
     let stored: Vec<(&str, PathBuf)> = files
         .iter()
@@ -28,7 +28,7 @@ fn of(files: &[(&str, &[u8])], limits: &Limits) -> Estimate {
 }
 
 fn estimated(files: &[(&str, &[u8])]) -> Estimate {
-    of(files, &Limits::default())
+    of(files, &Limits::default()).unwrap()
 }
 
 fn zip(files: &[(&str, &[u8])]) -> Vec<u8> {
@@ -91,6 +91,12 @@ fn an_archive_needs_what_is_in_it_and_itself() {
     let mut lying = honest.clone();
     places.iter().for_each(|at| lying[*at..at + 4].copy_from_slice(&0x3000_0000u32.to_le_bytes()));
     assert_eq!(estimated(&[("m.zip", &lying)]).bytes, bytes);
+    // Two that hold more than the limit together are refused, whatever they declare.
+    let limits = |max_input_bytes| Limits { max_input_bytes, ..Limits::default() };
+    let both = [("m.zip", &honest[..]), ("zeros.zip", &lying)];
+    let unpacked = 2 * (model.len() + zeros.len()) as u64;
+    assert!(of(&both, &limits(unpacked)).is_ok());
+    assert_eq!(of(&both, &limits(unpacked - 1)).unwrap_err().code, crate::error::Code::TooLarge);
 }
 
 #[test]
@@ -130,7 +136,7 @@ fn a_header_that_lies_counts_up_to_the_limit() {
     file[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
     let model = gltf(&json!([{ "uri": "a.png" }]), json!({}));
     let limits = Limits { max_image_pixels: 1_000_000, ..Limits::default() };
-    let found = of(&[("m.gltf", &model), ("a.png", &file)], &limits);
+    let found = of(&[("m.gltf", &model), ("a.png", &file)], &limits).unwrap();
     assert_eq!(found.texels, 1_000_000);
     assert!(found.bytes < 200_000_000);
 }
@@ -178,7 +184,7 @@ fn what_is_cut_short_or_broken_counts_by_its_length() {
         assert_eq!(estimated(&[("m.gltf", bad)]).texels, 0);
     }
     let missing = Path::new("/nowhere/at/all");
-    assert_eq!(estimate(("m.glb", missing), &[], &Limits::default()).triangles, 0);
+    assert_eq!(estimate(("m.glb", missing), &[], &Limits::default()).unwrap().triangles, 0);
     // As the loader takes it: the last of two keys counts, and what is of the wrong type is passed over.
     let twice = br#"{"images": [], "extra": {"images": 1}, "images": [7, {"uri": 5}, {"uri": "a.png"}]}"#;
     assert_eq!(estimated(&[("m.gltf", twice), ("a.png", &png(8, 8))]).texels, 64);

@@ -49,6 +49,8 @@ pub(super) enum Reason {
     Topology,
     /// Too much of the surface would be resampled.
     Resampled,
+    /// The chart would be larger than a sheet.
+    Size,
     /// Nothing that can be solved.
     Singular,
 }
@@ -64,6 +66,7 @@ impl Reason {
             Reason::Global => "global_energy",
             Reason::Topology => "topology",
             Reason::Resampled => "resampled",
+            Reason::Size => "sheet_size",
             Reason::Singular => "singular",
         }
     }
@@ -238,7 +241,7 @@ pub(super) fn attempt(
 
 impl Attempt {
     /// One that failed before it looked at anything.
-    fn failed(mesh: &Mesh, op: &Operation, params: &Defrag, reason: Reason) -> Self {
+    pub(super) fn failed(mesh: &Mesh, op: &Operation, params: &Defrag, reason: Reason) -> Self {
         Attempt { outcome: Err(reason), region: Bounds::EMPTY, work: 0, island: op.is_island(mesh, params) }
     }
 

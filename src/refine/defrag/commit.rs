@@ -33,12 +33,19 @@ impl Mesh {
         }
     }
 
+    /// The chart of the input whose texels the merged chart is placed for, as far as known, and whether that is a part of the one that
+    /// comes.
+    pub(super) fn main_after(&self, op: &Operation) -> (u32, bool) {
+        let (kept, moved) = (&self.charts[op.kept as usize], &self.charts[op.moved as usize]);
+        if !op.whole_texels && moved.kept > kept.kept { (moved.main, true) } else { (kept.main, false) }
+    }
+
     /// Does what the operation was found to do.
     pub(super) fn commit(&mut self, op: &Operation, merge: &Merge, region: Bounds) {
         let (kept, moved) = (op.kept as usize, op.moved as usize);
         let within = kept == moved;
         let kept_area = self.kept_after(op, merge);
-        let mains = [kept, moved].map(|c| (self.charts[c].kept, self.charts[c].main));
+        let (main, _) = self.main_after(op);
 
         // Border and area of what changes shape, before.
         let mut edges: Vec<u32> = merge
@@ -74,8 +81,10 @@ impl Mesh {
         let mut vertices: Vec<u32> = coming.iter().flat_map(|&f| self.corners[f as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
+        let mut bounds = self.charts[kept].bounds;
         for &u in &vertices {
             self.uv[u as usize] = op.motion.apply(self.uv[u as usize]);
+            bounds = bounds.union(Bounds::of(&[self.uv[u as usize]]));
         }
         for &f in &coming {
             self.chart_of[f as usize] = op.kept;
@@ -83,7 +92,9 @@ impl Mesh {
 
         for &(u, at) in &merge.places {
             self.uv[u as usize] = at;
+            bounds = bounds.union(Bounds::of(&[at]));
         }
+        self.charts[kept].bounds = bounds;
         for &(gone, stays) in &merge.fuse {
             for f in std::mem::take(&mut self.star[gone as usize]) {
                 for corner in &mut self.corners[f as usize] {
@@ -135,9 +146,7 @@ impl Mesh {
             chart.perimeter += gone.perimeter;
             chart.sound &= gone.sound;
             chart.parts.extend(&gone.parts);
-            if !op.whole_texels && mains[1].0 > mains[0].0 {
-                chart.main = mains[1].1;
-            }
+            chart.main = main;
         }
         self.charts[kept].area += after.1 - before.1;
         self.charts[kept].perimeter += after.0 - before.0;

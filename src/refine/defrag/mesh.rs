@@ -22,6 +22,8 @@ pub(super) struct Chart {
     pub area: f64,
     /// UV length of the border.
     pub perimeter: f64,
+    /// Where it lies, or a little more.
+    pub bounds: Bounds,
     /// Faces by place.
     pub grid: Grid,
     /// Charts of the input that it is made of.
@@ -196,6 +198,7 @@ impl Mesh {
                 ..Chart::default()
             };
             for &f in &faces {
+                chart.bounds = chart.bounds.union(Bounds::of(&mesh.triangle(f)));
                 chart.area += mesh.weight[f as usize];
                 chart.kept += mesh.area[f as usize];
                 chart.grid.add(f, &Bounds::of(&mesh.triangle(f)));

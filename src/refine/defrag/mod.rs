@@ -13,6 +13,7 @@ mod operation;
 pub mod params;
 mod place;
 mod queue;
+mod room;
 #[cfg(test)]
 mod tests;
 
@@ -26,8 +27,9 @@ use self::attempt::{Attempt, Pool, Quit, Reason, attempt};
 use self::mesh::Mesh;
 use self::params::{Defrag, Search};
 use self::queue::Queue;
+use self::room::Room;
 use super::options::{Options, OverlapMode, Rotation};
-use super::pack::{keeps_input, lay_out};
+use super::pack::{keeps_input, largest_chart, lay_out};
 use super::stage::{Frame, Staged};
 use crate::atlas::{Atlas, Charts, NONE, Topology, clusters};
 use crate::context::Context;
@@ -51,7 +53,7 @@ pub(crate) fn defrag(
     let together = clusters(atlas, &charts, options.atlas.overlaps);
     let open: Vec<bool> =
         charts.ids().map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1).collect();
-    let (mesh, mut figures) = merge_charts(atlas, &charts, &open, frame, params, options, context)?;
+    let (mesh, room, mut figures) = merge_charts(atlas, &charts, &open, frame, params, options, context)?;
     let held: f64 = held_back(atlas, &charts, &open);
     figures.insert("held_back".to_owned(), json!(held));
     if held > 0.0 && options.atlas.overlaps == OverlapMode::Stack {
@@ -60,7 +62,8 @@ pub(crate) fn defrag(
             format!("{:.1} % of the area of atlas {} is not merged: charts that share texels", 100.0 * held, frame.id),
         ));
     }
-    let placed = place::place(mesh, atlas, params.min_preserved, frame, options.pack.rotation != Rotation::Any);
+    let whole_texels = options.pack.rotation != Rotation::Any;
+    let placed = place::place(mesh, atlas, params.min_preserved, frame, room, whole_texels);
     figures.insert("preserved_area".to_owned(), json!(placed.preserved));
     context.step(0.75, "packing")?;
     // Where charts came to lie others may lie already: they share no texels for that.
@@ -88,7 +91,7 @@ fn held_back(atlas: &Atlas, charts: &Charts, open: &[bool]) -> f64 {
     held / f64::max(all, 1e-300)
 }
 
-/// Algorithm 1: the mesh with merged charts, each in its own coordinates.
+/// Algorithm 1: the mesh with merged charts, each in its own coordinates, and the room that they were kept to.
 fn merge_charts(
     atlas: &Atlas,
     charts: &Charts,
@@ -97,10 +100,11 @@ fn merge_charts(
     params: &Defrag,
     options: &Options,
     context: &Context,
-) -> Result<(Mesh, Map<String, Value>)> {
+) -> Result<(Mesh, Option<Room>, Map<String, Value>)> {
     context.step(0.02, "finding seams")?;
     let mut mesh = Mesh::new(atlas, charts, open, !frame.directions);
     let mut queue = Queue::new(&mesh, params, f64::from(frame.unit), context.seed ^ options.seed);
+    let room = largest_chart(frame, options).and_then(|sides| Room::new(&mesh, sides));
     let pool = Pool::default();
     let weight: f64 = mesh.weight.iter().sum::<f64>().max(1e-300);
     let surface: f64 = mesh.area.iter().sum();
@@ -121,12 +125,17 @@ fn merge_charts(
             stopped_by = if work > budget { "work_budget" } else { "time_limit" };
             break;
         }
-        // Whether the chart stays flat is a matter of its whole border: what was found out ahead of its turn does not count.
+        // Whether the chart stays flat is a matter of its whole border, and its size one of all of it: what was found out ahead of its
+        // turn does not count.
         let op = &queue.entries[entry as usize].op;
+        let refused = |attempt: &Attempt| matches!(attempt.outcome, Err(Reason::Topology | Reason::Size));
         if !attempt::stays_flat(&mesh, op, &pool) {
             let attempt = Attempt::not_flat(&mesh, op, params);
             queue.remember(&mesh, entry, attempt);
-        } else if queue.known(&mesh, entry).is_none_or(|a| matches!(a.outcome, Err(Reason::Topology))) {
+        } else if room.is_some_and(|room| !room.holds(&mesh, op)) {
+            let attempt = Attempt::failed(&mesh, op, params, Reason::Size);
+            queue.remember(&mesh, entry, attempt);
+        } else if queue.known(&mesh, entry).is_none_or(refused) {
             look_ahead(&mesh, &mut queue, entry, params, &pool);
             let done = 1.0 - (queue.len() as f64 / start as f64).min(1.0);
             context.step(0.05 + 0.65 * done, "merging charts")?;
@@ -181,7 +190,7 @@ fn merge_charts(
         ("work".to_owned(), json!(work)),
         ("merging_stopped_by".to_owned(), json!(stopped_by)),
     ]);
-    Ok((mesh, figures))
+    Ok((mesh, room, figures))
 }
 
 /// Tries an operation and, while that takes long, those that follow: an attempt changes nothing, and stands as long as nothing changes

@@ -6,7 +6,9 @@
 use glam::DVec2;
 
 use super::mesh::{Mesh, mirror};
+use super::room::Room;
 use crate::atlas::Atlas;
+use crate::atlas::bvh::Bounds;
 use crate::atlas::rigid::Rigid;
 use crate::refine::stage::Frame;
 
@@ -28,7 +30,14 @@ pub(super) struct Placed {
 
 /// Puts each chart where the part of its input that was moved only, and is largest in 3D, lies as it did; not where that is under
 /// `least` of the chart's 3D area. Without `whole_texels` nothing is.
-pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole_texels: bool) -> Placed {
+pub(super) fn place(
+    mesh: Mesh,
+    before: &Atlas,
+    least: f64,
+    frame: &Frame,
+    room: Option<Room>,
+    whole_texels: bool,
+) -> Placed {
     let unit = f64::from(frame.unit);
     let mut motion = vec![Rigid::IDENTITY; mesh.charts.len()];
     let mut exact = vec![false; mesh.corners.len()];
@@ -104,7 +113,7 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
     // Charts that were not touched, and those that are not finite, stay bit for bit.
     let touched: Vec<bool> = mesh.charts.iter().map(|c| c.parts.len() > 1 || !c.changes.is_empty()).collect();
     let free: Vec<bool> = free.iter().zip(&touched).map(|(free, touched)| *free && *touched).collect();
-    enlarge(&mesh, &free, &mut at);
+    enlarge(&mesh, &free, room, &mut at);
     let mut seen = vec![false; mesh.charts.len()];
     let mut in_order = Vec::new();
     for &c in &mesh.chart_of {
@@ -122,8 +131,9 @@ pub(super) fn place(mesh: Mesh, before: &Atlas, least: f64, frame: &Frame, whole
     Placed { atlas, free: in_order, preserved: preserved / f64::max(total, 1e-300) }
 }
 
-/// What is resampled anyway gets as many texels as it had: seams that were pulled together made it smaller. `at` is by UV vertex.
-fn enlarge(mesh: &Mesh, free: &[bool], at: &mut [Option<DVec2>]) {
+/// What is resampled anyway gets as many texels as it had: seams that were pulled together made it smaller. It stays within `room`. `at`
+/// is by UV vertex.
+fn enlarge(mesh: &Mesh, free: &[bool], room: Option<Room>, at: &mut [Option<DVec2>]) {
     let mut scale: Vec<f64> =
         mesh.charts.iter().zip(free).map(|(c, free)| if *free { growth(mesh, &c.faces) } else { 1.0 }).collect();
     // Nor is the usual texel coarser: the faces that lost most are not all in charts that grew.
@@ -135,6 +145,13 @@ fn enlarge(mesh: &Mesh, free: &[bool], at: &mut [Option<DVec2>]) {
     let lost = (before / now).sqrt();
     if lost > 1.0 && lost < MOST_GROWTH {
         scale.iter_mut().zip(free).filter(|(_, free)| **free).for_each(|(s, _)| *s *= lost);
+    }
+    if let Some(room) = room {
+        for (chart, scale) in mesh.charts.iter().zip(&mut scale).filter(|(_, s)| **s > 1.0) {
+            let lies = chart.faces.iter().flat_map(|&f| mesh.corners[f as usize]).filter_map(|u| at[u as usize]);
+            let bounds = lies.map(|p| Bounds::of(&[p])).fold(Bounds::EMPTY, Bounds::union);
+            *scale = scale.min(room.growth(bounds.size()).max(1.0));
+        }
     }
     for (at, star) in at.iter_mut().zip(&mesh.star) {
         if let (Some(at), Some(&f)) = (at, star.first()) {

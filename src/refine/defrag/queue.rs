@@ -181,9 +181,10 @@ impl<'a> Queue<'a> {
         let own = &mut self.entries[entry as usize];
         own.op.fails += 1;
         own.spent = own.known.as_ref().map_or(0, |(attempt, _)| attempt.work);
-        own.standing =
-            if matches!(reason, Reason::Global | Reason::Resampled) { Standing::Gone } else { Standing::Failed };
-        let first = !std::mem::replace(&mut own.apart, true);
+        let for_good = matches!(reason, Reason::Global | Reason::Resampled | Reason::Size);
+        own.standing = if for_good { Standing::Gone } else { Standing::Failed };
+        // Charts that are too large together are so along every part of their seams.
+        let first = !std::mem::replace(&mut own.apart, true) && reason != Reason::Size;
         let (kind, link, fails, edges) = (own.op.kind, own.link, own.op.fails, own.op.edges.clone());
         let shared = &mut self.links[link as usize];
         shared.fails = shared.fails.max(fails);

@@ -117,6 +117,33 @@ fn a_limit_on_resampling_is_kept() {
 }
 
 #[test]
+fn charts_grow_no_larger_than_a_sheet() {
+    let atlas = torn(24, 4, 3.0, 0.1, 21);
+    let alone = run(&atlas, &Defrag::default());
+    assert!(charts(&alone.atlas) < 9, "{}", charts(&alone.atlas));
+    let paged = |max_size: u32| {
+        let mut options = options();
+        options.texture.max_size = max_size;
+        defrag(&atlas, &frame(), &Defrag::default(), &options, &Context::silent()).expect("it packs")
+    };
+    // 192 texels of charts of 32: on pages of 96 they stay as large as they are.
+    let staged = paged(96);
+    assert_eq!(check(&atlas, &staged.atlas, Exactness::Exact), Ok(()));
+    assert!(staged.atlas.sheets.len() > 1 && staged.atlas.sheets.iter().all(|s| s[0] <= 96 && s[1] <= 96));
+    let number = charts(&staged.atlas);
+    assert!((6..30).contains(&number), "{number}");
+    assert!(staged.figures["failures"]["sheet_size"].as_u64() > Some(0));
+    let area = |atlas: &Atlas| atlas.faces().map(|f| atlas.uv_area(f).abs()).sum::<f64>();
+    let kept = area(&staged.atlas) / area(&atlas);
+    assert!((0.97..1.03).contains(&kept), "{kept}");
+    // What does not fit as it is, is scaled down and merged all the same.
+    let scaled = paged(24);
+    assert_eq!(scaled.atlas.sheets.len(), 1);
+    assert!(charts(&scaled.atlas) < 9);
+    assert_eq!(scaled.figures["failures"].get("sheet_size"), None);
+}
+
+#[test]
 fn threads_make_no_difference() {
     let atlas = torn(20, 4, 3.0, 0.2, 9);
     let with = |threads: usize| {
@@ -154,10 +181,10 @@ fn broken_input_is_met() {
     let charts_before = Charts::new(&Topology::new(&atlas));
     let open = vec![true; charts_before.len()];
     let options = options();
-    let (mesh, _) =
+    let (mesh, room, _) =
         merge_charts(&atlas, &charts_before, &open, &frame(), &Defrag::default(), &options, &Context::silent())
             .expect("it ends");
-    let merged = place::place(mesh, &atlas, 0.05, &frame(), true).atlas;
+    let merged = place::place(mesh, &atlas, 0.05, &frame(), room, true).atlas;
     assert!(charts(&merged) < charts_before.len());
     assert_eq!(merged.face_count(), atlas.face_count());
 }
