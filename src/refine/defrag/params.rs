@@ -60,7 +60,7 @@ impl Default for Defrag {
             appeal: Appeal::Full,
             retry: true,
             island_area: 256.0,
-            min_preserved: 0.1,
+            min_preserved: 0.15,
         }
     }
 }
