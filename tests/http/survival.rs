@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::server::{Form, Server, artifact, json, left};
+use crate::server::{Form, PATIENCE, Server, artifact, json, left};
 
 /// A scan that takes some seconds.
 fn long() -> Form {
@@ -33,7 +33,7 @@ fn jobs_survive_the_death_of_the_process_and_leave_nothing_else() {
         let started = Instant::now();
         let before = number(&server, "succeeded");
         while number(&server, "succeeded") < before + 3 || number(&server, "running") == 0 {
-            assert!(started.elapsed() < Duration::from_secs(60));
+            assert!(started.elapsed() < PATIENCE);
         }
         assert!(number(&server, "queued") >= 10);
         server.kill();
