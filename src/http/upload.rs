@@ -308,13 +308,12 @@ impl<'a> Incoming<'a> {
             let at = |stored: &Stored| folder.join(stored.number.to_string());
             let files: Vec<(&str, PathBuf)> = manifest.files.iter().map(|f| (f.path.as_str(), at(f))).collect();
             let files: Vec<(&str, &Path)> = files.iter().map(|(name, path)| (*name, path.as_path())).collect();
-            manifest.models.iter().try_fold(0u64, |sum, model| {
+            let mut models = manifest.models.iter();
+            models.try_fold(0u64, |sum, model| -> Result<u64, Failure> {
                 Ok(sum.saturating_add(estimate((&model.path, &at(model)), &files, &limits)?.bytes))
             })
         });
-        let bytes: Result<u64, Failure> =
-            told.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))?;
-        let bytes = bytes?;
+        let bytes = told.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))??;
         let most = self.app.jobs.slots.memory();
         if bytes > most {
             let detail =

@@ -179,7 +179,7 @@ pub(super) fn stays_flat(mesh: &Mesh, op: &Operation, pool: &Pool) -> bool {
     pool.with(|scratch| scratch.loops.stays_flat(mesh, &pairs(mesh, op), op.kept == op.moved))
 }
 
-/// Tries the operation; `None` only where `quit` says that nobody waits for it. Calls `heavy` where it is going to take long.
+/// Tries an operation that leaves a flat chart; `None` only where `quit` says that nobody waits for it. Calls `heavy` where it is going to take long.
 pub(super) fn attempt(
     mesh: &Mesh,
     op: &Operation,
@@ -189,9 +189,6 @@ pub(super) fn attempt(
     heavy: &(dyn Fn() + Sync),
 ) -> Option<Attempt> {
     let mut so_far = Attempt::failed(mesh, op, params, Reason::Singular);
-    if !stays_flat(mesh, op, pool) {
-        return Some(Attempt::not_flat(mesh, op, params));
-    }
     let partial = params.search == Search::Partial;
     // A chart that keeps its texels is left alone where the other, which is resampled anyway, can do the fitting.
     let gentle = partial && op.kind != Kind::Within && !op.whole_texels;

@@ -198,10 +198,11 @@ impl Mesh {
                 ..Chart::default()
             };
             for &f in &faces {
-                chart.bounds = chart.bounds.union(Bounds::of(&mesh.triangle(f)));
+                let bounds = Bounds::of(&mesh.triangle(f));
+                chart.bounds = chart.bounds.union(bounds);
                 chart.area += mesh.weight[f as usize];
                 chart.kept += mesh.area[f as usize];
-                chart.grid.add(f, &Bounds::of(&mesh.triangle(f)));
+                chart.grid.add(f, &bounds);
                 for h in 3 * f..3 * f + 3 {
                     if mesh.twin[h as usize] == NONE {
                         chart.perimeter += mesh.length(h);

@@ -211,7 +211,8 @@ fn look_ahead(mesh: &Mesh, queue: &mut Queue<'_>, entry: u32, params: &Defrag, p
             for e in known.upcoming(mesh, AHEAD) {
                 let (attempted, add, done) = (&attempted, &add, &done);
                 scope.spawn(move |_| {
-                    if !done.load(Ordering::Relaxed) {
+                    let flat = || attempt::stays_flat(mesh, &known.entries[e as usize].op, pool);
+                    if !done.load(Ordering::Relaxed) && flat() {
                         add(e, attempted(e, Quit::when(done), &|| {}));
                     }
                 });

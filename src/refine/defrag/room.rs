@@ -1,4 +1,5 @@
-//! How large charts may become: each has to lie on a sheet.
+//! How large charts may become: each has to lie on a sheet. The paper packs whatever comes of merging; where a chart fits on no sheet,
+//! all would have to be scaled down.
 
 use glam::DVec2;
 
