@@ -154,18 +154,6 @@ pub struct Limits {
     pub keep_jobs: Duration,
 }
 
-impl Limits {
-    /// The part that the readers of models enforce.
-    pub fn asset(&self) -> crate::asset::Limits {
-        crate::asset::Limits {
-            max_input_bytes: self.max_upload,
-            max_image_pixels: self.max_image_pixels,
-            max_triangles: self.max_triangles,
-            max_json_bytes: self.max_json,
-        }
-    }
-}
-
 /// Options of a job, as the command line gives them.
 #[derive(Debug, Clone, Default, Args)]
 pub struct OptionFlags {

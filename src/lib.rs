@@ -8,16 +8,27 @@
 //!                            +-- metrics (before)     +-- metrics (after) -> report
 //! ```
 //!
-//! * [`atlas`]: the value that everything works on: surface, UVs in texels, provenance.
-//! * `numeric`: energies of maps of triangles, and the solvers that make them small.
-//! * [`packing`]: places charts on sheets; knows neither glTF nor images.
+//! The rooms, in their order. Each may use those below it, never one above:
+//!
+//! * [`http`]: the service.
+//! * [`jobs`]: the durable queue and the worker.
 //! * [`refine`]: the stages from Atlas to Atlas, the options, and the recipe that runs them.
+//! * [`metrics`]: what an atlas is worth: figures, fidelity, pictures, the report's schema.
 //! * [`asset`]: glTF and OBJ in and out.
 //! * [`texture`]: decode, resample through provenance, fill, encode.
-//! * [`metrics`]: what an atlas is worth: figures, fidelity, pictures, the report's schema.
-//! * [`jobs`]: the durable queue and the worker.
-//! * [`http`]: the service.
+//! * [`packing`]: places charts on sheets; knows neither glTF nor images.
+//! * `numeric`: energies of maps of triangles, and the solvers that make them small.
+//! * [`atlas`]: the value that everything works on: surface, UVs in texels, provenance.
 //! * [`config`]: every flag, environment variable and limit.
+//! * [`context`]: progress, cancellation, the budget of work and the clock.
+//! * [`error`]: what can go wrong, and whose it is.
+
+/// The rooms from top to bottom; `rooms.rs` holds the imports against it.
+#[cfg(test)]
+const ROOMS: [&str; 12] = [
+    "http", "jobs", "refine", "metrics", "asset", "texture", "packing", "numeric", "atlas", "config", "context",
+    "error",
+];
 
 pub mod asset;
 pub mod atlas;
@@ -30,5 +41,6 @@ pub mod metrics;
 mod numeric;
 pub mod packing;
 pub mod refine;
-pub mod telemetry;
+#[cfg(test)]
+mod rooms;
 pub mod texture;

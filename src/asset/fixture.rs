@@ -3,8 +3,9 @@
 use serde_json::{Value, json};
 
 use super::merge::Merging;
-use super::{ARRAY_BUFFER, Document, RawAccessor, Reading, Slot};
+use super::{ARRAY_BUFFER, Document, RawAccessor};
 use crate::texture::{Alpha, Format, Header, Image, Role, Samples, Wrap, encode};
+use crate::texture::{Reading, Slot};
 
 /// A base-colour slot that repeats.
 pub(crate) fn slot(image: usize, size: [u32; 2]) -> Slot {

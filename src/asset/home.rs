@@ -2,10 +2,10 @@
 
 use glam::DVec2;
 
-use super::Slot;
+use crate::asset::Tiling;
 use crate::atlas::{Atlas, Charts, FaceId, Topology, UvId};
 use crate::error::Warning;
-use crate::refine::options::Tiling;
+use crate::texture::Slot;
 use crate::texture::Wrap;
 
 /// Bounding boxes of the charts of a set may sum up to this many reference sheets once a chart is larger
@@ -217,8 +217,8 @@ mod tests {
 
     fn moved(places: &[(f64, f64, f64)], wrap: [Wrap; 2], tiling: Tiling) -> Result<Vec<(f64, f64)>, String> {
         let mut atlas = triangles(places);
-        let readings = vec![crate::asset::Reading { wrap, primitives: vec![0] }];
-        let slots = [crate::asset::Slot { readings, ..slot(0, SHEET) }];
+        let readings = vec![crate::texture::Reading { wrap, primitives: vec![0] }];
+        let slots = [crate::texture::Slot { readings, ..slot(0, SHEET) }];
         bring_home(&mut atlas, &slots, SHEET, tiling, false).map_err(|w| w.code)?;
         Ok(atlas.uv.chunks(3).map(|c| (c[0].x, c[0].y)).collect())
     }

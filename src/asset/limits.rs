@@ -23,3 +23,14 @@ impl Default for Limits {
         }
     }
 }
+
+impl From<&crate::config::Limits> for Limits {
+    fn from(all: &crate::config::Limits) -> Self {
+        Limits {
+            max_input_bytes: all.max_upload,
+            max_image_pixels: all.max_image_pixels,
+            max_triangles: all.max_triangles,
+            max_json_bytes: all.max_json,
+        }
+    }
+}

@@ -13,9 +13,10 @@ mod estimate;
 mod glb;
 mod limits;
 mod load;
-mod merge;
+pub(crate) mod merge;
 mod nodes;
 mod obj;
+mod options;
 mod prune;
 mod resolve;
 pub mod sample;
@@ -38,6 +39,7 @@ pub use estimate::{Estimate, estimate};
 pub use limits::Limits;
 pub use load::{load, load_while, side_file};
 pub use merge::{Counts, Merge, Merged, MergedMaterial, Merging, finish as finish_merge, prepare as prepare_merge};
+pub use options::{ReadOptions, Tiling};
 pub use save::to_gltf;
 pub use side_files::read_paths;
 pub(crate) use side_names::by_name as image_type;
@@ -64,7 +66,7 @@ pub use write::{BakedImage, Refined, read_back, write};
 use serde_json::Value;
 
 use crate::atlas::Atlas;
-use crate::texture::{Alpha, Header, Role, Wrap};
+use crate::texture::Slot;
 
 /// A file as uploaded: its relative path (forward slashes) and its bytes.
 #[derive(Debug, Clone)]
@@ -111,38 +113,6 @@ pub struct PrimitiveRef {
     pub animated: bool,
     /// The glTF vertex of each corner of each face, as the index buffer names it.
     pub corners: Vec<[u32; 3]>,
-}
-
-/// One image of a texture set: what is baked to the new layout.
-#[derive(Debug, Clone)]
-pub struct Slot {
-    /// Index into `/images`.
-    pub image: usize,
-    /// What the image means; the first in the order of [`Role`] where it has several.
-    pub role: Role,
-    /// Name in reports and files, unique in the set: the role, with a number where there are several.
-    pub name: String,
-    /// Size and format from the header.
-    pub header: Header,
-    /// Who reads it with which wrap modes; together all of `primitives`, each once.
-    pub readings: Vec<Reading>,
-    /// Whether its sampler's minification filter reads mipmaps (the default when the filter is not given).
-    pub mipmaps: bool,
-    /// Alpha mode of the material(s) reading it; `Opaque` for everything but base colour.
-    pub alpha: Alpha,
-    /// Which of the set's primitives read it (index into `primitives`).
-    pub primitives: Vec<u32>,
-    /// Slots that stay as they are (one colour, or under 1/8 of the reference): not baked, UVs of [0,1] still fit them.
-    pub exempt: bool,
-}
-
-/// Primitives that read an image with the same wrap modes.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Reading {
-    /// Wrap modes (S, T) of the samplers.
-    pub wrap: [Wrap; 2],
-    /// Indices into the set's `primitives`, ascending.
-    pub primitives: Vec<u32>,
 }
 
 /// A texture set: one Atlas, its primitives and its images.

@@ -4,11 +4,10 @@ use super::geometry::{Geometry, Reader, weld};
 use super::home::{bring_home, leaves_tile};
 use super::scan::{Scan, scan};
 use super::sets::{Planned, grid, plan, written_set};
-use super::{Document, PrimitiveRef, TextureSet};
+use super::{Document, PrimitiveRef, ReadOptions, TextureSet};
 use crate::atlas::{Atlas, FaceId, Provenance};
 use crate::context::Context;
 use crate::error::{Result, Warning};
-use crate::refine::options::AtlasOptions;
 
 /// Longest name of a texture set, in characters.
 const LONGEST_NAME: usize = 60;
@@ -19,7 +18,7 @@ const LONGEST_NAME: usize = 60;
 /// # Errors
 /// `invalid_model` with a pointer for indices out of range, attribute counts that differ and numbers that are not
 /// finite; `too_large` when 32 bits cannot count the corners; `canceled`.
-pub fn read(doc: &Document, options: &AtlasOptions, context: &Context) -> Result<Vec<TextureSet>> {
+pub fn read(doc: &Document, options: ReadOptions, context: &Context) -> Result<Vec<TextureSet>> {
     let scan = scan(doc)?;
     let mut reader = Reader::new(doc);
     let mut sets = Vec::new();
@@ -36,7 +35,7 @@ fn read_set(
     scan: &Scan,
     planned: Planned,
     id: usize,
-    options: &AtlasOptions,
+    options: ReadOptions,
     reader: &mut Reader<'_>,
     context: &Context,
 ) -> Result<Option<TextureSet>> {
@@ -140,7 +139,7 @@ mod tests {
 
     fn read_all(doc: &Document) -> (Result<Vec<TextureSet>>, Vec<String>) {
         let context = Context::silent();
-        let sets = read(doc, &AtlasOptions::default(), &context);
+        let sets = read(doc, ReadOptions::default(), &context);
         (
             sets,
             context.warnings().iter().map(|w| format!("{} {}", w.code, w.pointer.as_deref().unwrap_or(""))).collect(),

@@ -9,11 +9,12 @@ use std::collections::BTreeMap;
 use super::json::{array, object};
 use super::scan::{Primitive, Scan, Texture, TextureUse};
 use super::transform::{Layout, Transform};
-use super::{Document, Reading, Slot, TextureSet};
+use super::{Document, TextureSet};
 use crate::atlas::find_root;
 use crate::context::Context;
 use crate::error::{Result, Warning};
 use crate::texture::{Alpha, Direction, Header, Role, header};
+use crate::texture::{Reading, Slot};
 
 /// A texture set before its geometry is read.
 #[derive(Debug)]

@@ -272,9 +272,9 @@ impl Line {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::atlas::OverlapMode;
     use crate::atlas::testing::{Rng, join, sheet, soup};
     use crate::atlas::{Topology, clusters};
-    use crate::refine::options::OverlapMode;
 
     fn measured(atlas: &Atlas, mode: OverlapMode) -> Coverage {
         let charts = Charts::new(&Topology::new(atlas));

@@ -1,11 +1,22 @@
 //! Clusters: charts that share texels on purpose, and are placed as one.
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use super::bvh::{Bounds, Bvh};
 use super::overlap::Bodies;
 use super::{Atlas, ChartId, Charts};
-use crate::refine::options::OverlapMode;
+
+/// What happens to charts that share texels in the input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OverlapMode {
+    /// They stay together and are placed as one.
+    Stack,
+    /// Each gets its own place.
+    Separate,
+}
 
 /// Which charts are placed together.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

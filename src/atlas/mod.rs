@@ -25,7 +25,7 @@ pub use area::{Coverage, coverage, coverage_of_page, covered_area};
 pub use charts::{Charts, Loops};
 pub use check::{Exactness, Violation, check};
 pub(crate) use clusters::find_root;
-pub use clusters::{Clusters, clusters};
+pub use clusters::{Clusters, OverlapMode, clusters};
 pub use edit::Move;
 pub use ids::{ChartId, FaceId, UvId, VertexId};
 pub use overlap::{Overlaps, orientation, overlapping_charts, overlaps, penetration, triangles_overlap};

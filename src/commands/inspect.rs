@@ -6,8 +6,8 @@ use std::sync::atomic::AtomicBool;
 use intarsia::config::Inspect;
 use intarsia::context::Context;
 use intarsia::error::{Code, Failure, Result};
+use intarsia::metrics::Requirement;
 use intarsia::refine::inspect_and_judge;
-use intarsia::refine::options::Requirement;
 
 use super::progress::Teller;
 use super::table;

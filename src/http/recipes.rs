@@ -7,9 +7,10 @@ use serde_json::{Map, Value, json};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::App;
+use crate::packing::Pack;
 use crate::refine::box_cutter::params::BoxCutter;
 use crate::refine::defrag::params::Defrag;
-use crate::refine::options::{Options, Pack};
+use crate::refine::options::Options;
 use crate::refine::parse::{MAX_METADATA_BYTES, MAX_STAGES, RECIPES};
 
 /// The presets, the stages and all options, as JSON Schema.

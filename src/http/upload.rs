@@ -303,7 +303,8 @@ impl<'a> Incoming<'a> {
 
     /// Bytes that the job is expected to need, by the headers of its files.
     async fn memory(&self) -> Answer<u64> {
-        let (folder, manifest, limits) = (self.folder.clone(), self.manifest.clone(), self.app.jobs.limits.asset());
+        let (folder, manifest, limits) =
+            (self.folder.clone(), self.manifest.clone(), crate::asset::Limits::from(&self.app.jobs.limits));
         let told = tokio::task::spawn_blocking(move || {
             let at = |stored: &Stored| folder.join(stored.number.to_string());
             let files: Vec<(&str, PathBuf)> = manifest.files.iter().map(|f| (f.path.as_str(), at(f))).collect();

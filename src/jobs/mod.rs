@@ -9,6 +9,7 @@ pub mod queue;
 pub mod record;
 pub mod slots;
 mod system;
+pub mod telemetry;
 mod upkeep;
 mod worker;
 
@@ -21,10 +22,10 @@ use tokio::sync::Notify;
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
+use self::telemetry::Telemetry;
 use crate::config::{Limits, Work};
 use crate::error::{Code, Failure, Result};
 use crate::refine::options::Options;
-use crate::telemetry::Telemetry;
 use files::Files;
 use hub::Hub;
 use queue::sqlite::Sqlite;

@@ -235,7 +235,7 @@ fn steps(
     context: &Context,
     runtime: &Handle,
 ) -> Result<(Vec<Entry>, Vec<Missed>)> {
-    let input = Input { models: jobs.files.load(&claim.id, manifest)?, limits: jobs.limits.asset(), extras: true };
+    let input = Input { models: jobs.files.load(&claim.id, manifest)?, limits: (&jobs.limits).into(), extras: true };
     let outcome = run::refine(&input, options, context)?;
     drop(input);
     context.check()?;

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use super::{Measures, Report};
 use crate::error::{Code, Failure, Result};
-use crate::refine::options::Requirement;
+use crate::metrics::Requirement;
 
 /// A requirement that is not met.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]

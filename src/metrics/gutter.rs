@@ -157,9 +157,9 @@ fn grow(band: &Band<'_>, width: u32, touch: f64, cluster: impl Fn(FaceId) -> u32
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::atlas::OverlapMode;
     use crate::atlas::testing::{Rng, join, sheet};
     use crate::atlas::{Topology, clusters};
-    use crate::refine::options::OverlapMode;
     use glam::DVec2;
 
     fn gutter(atlas: &Atlas, slots: &[SlotSize]) -> Option<u32> {

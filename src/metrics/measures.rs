@@ -13,7 +13,7 @@ use crate::atlas::{Atlas, Charts, Clusters, Coverage, Topology};
 
 /// What `measure` must know beside the atlas itself.
 #[derive(Debug, Clone, Copy)]
-pub struct Frame<'a> {
+pub struct MeasureInputs<'a> {
     /// The atlas before refinement: for the box of `boundary_length` and for `distortion_from_input`. `None`: the atlas is the input.
     pub input: Option<&'a Atlas>,
     /// Charts that share texels on purpose.
@@ -142,20 +142,20 @@ pub(crate) struct Totals {
     pub signal: Option<f64>,
 }
 
-/// The measures of an atlas with its topology and charts. Indices must be in range and `frame.clusters` must belong to the charts.
-pub fn measure(atlas: &Atlas, topology: &Topology, own_charts: &Charts, frame: &Frame<'_>) -> Measures {
+/// The measures of an atlas with its topology and charts. Indices must be in range and `inputs.clusters` must belong to the charts.
+pub fn measure(atlas: &Atlas, topology: &Topology, own_charts: &Charts, inputs: &MeasureInputs<'_>) -> Measures {
     let mut totals = Totals { atlases: 1, triangles: atlas.face_count() as u64, ..Totals::default() };
     charts::add(&mut totals, atlas, own_charts);
-    coverage::add(&mut totals, atlas, own_charts, frame.clusters);
-    boundary::add(&mut totals, atlas, topology, frame.input.unwrap_or(atlas));
+    coverage::add(&mut totals, atlas, own_charts, inputs.clusters);
+    boundary::add(&mut totals, atlas, topology, inputs.input.unwrap_or(atlas));
     totals.isometry = distortion::from_surface(atlas);
-    totals.from_input = distortion::from_input(atlas, frame.input.unwrap_or(atlas));
+    totals.from_input = distortion::from_input(atlas, inputs.input.unwrap_or(atlas));
     totals.density = density::of(atlas);
-    totals.gutter = gutter::of(atlas, own_charts, frame.clusters, frame.slots, frame.smallest_slot);
-    totals.resampled = frame.resampled_area.map(|f| f * totals.surface_area);
-    totals.signal = frame.signal_error.map(|e| e * totals.surface_area);
-    totals.slots = frame.slots.len();
-    for slot in frame.slots {
+    totals.gutter = gutter::of(atlas, own_charts, inputs.clusters, inputs.slots, inputs.smallest_slot);
+    totals.resampled = inputs.resampled_area.map(|f| f * totals.surface_area);
+    totals.signal = inputs.signal_error.map(|e| e * totals.surface_area);
+    totals.slots = inputs.slots.len();
+    for slot in inputs.slots {
         totals.pixels += u64::from(slot.width) * u64::from(slot.height);
         totals.bytes += slot.bytes;
         totals.gpu += gpu_bytes(slot.width, slot.height);
@@ -310,9 +310,9 @@ fn gpu_bytes(mut width: u32, mut height: u32) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::atlas::OverlapMode;
     use crate::atlas::testing::{join, sheet};
     use crate::atlas::{UvId, VertexId, clusters};
-    use crate::refine::options::OverlapMode;
     use glam::DVec2;
 
     fn measured(atlas: &Atlas, input: Option<&Atlas>, slots: &[SlotSize]) -> Measures {
@@ -323,7 +323,14 @@ mod tests {
             atlas,
             &topology,
             &charts,
-            &Frame { input, clusters: &clusters, slots, smallest_slot: None, resampled_area: None, signal_error: None },
+            &MeasureInputs {
+                input,
+                clusters: &clusters,
+                slots,
+                smallest_slot: None,
+                resampled_area: None,
+                signal_error: None,
+            },
         )
     }
 

@@ -15,11 +15,13 @@ mod measures;
 mod picture;
 mod raster;
 mod report;
+mod requirement;
 
 pub use density::TexelDensity;
 pub use gate::{Unmet, check_path, lookup, paths, unmet};
-pub use measures::{Frame, Measures, SlotSize, measure, roll_up};
+pub use measures::{MeasureInputs, Measures, SlotSize, measure, roll_up};
 pub use picture::picture;
 pub use report::{
     AtlasReport, ImageReport, InputReport, ModelInput, ModelReport, Report, StageReport, TextureReport, TextureSource,
 };
+pub use requirement::Requirement;

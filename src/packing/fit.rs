@@ -3,7 +3,7 @@
 use super::{Packing, Request, Rounding, pack};
 use crate::context::Context;
 use crate::error::Result;
-use crate::refine::options::PackSearch;
+use crate::packing::PackSearch;
 
 /// A packing and the scale at which it was made.
 #[derive(Debug, Clone, PartialEq)]

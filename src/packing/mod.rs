@@ -10,6 +10,7 @@ mod greedy;
 mod guided;
 mod mask;
 mod occupancy;
+mod options;
 mod orientation;
 mod outline;
 mod random;
@@ -23,12 +24,11 @@ pub(crate) use greedy::{Layout, Plan, Rule, greedy};
 pub use guided::Start;
 pub(crate) use mask::Mask;
 pub(crate) use occupancy::{Pitch, Probe};
+pub use options::{Gutter, Pack, PackSearch, Rotation};
 pub use orientation::Orientation;
 pub(crate) use random::Random;
 pub use search::pack;
 pub(crate) use shape::{Shape, Shapes};
-
-use crate::refine::options::{PackSearch, Rotation};
 
 /// What is placed as one: a chart, or a cluster of charts. Coordinates in reference texels.
 #[derive(Debug, Clone, Default)]

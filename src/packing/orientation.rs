@@ -3,7 +3,7 @@
 use glam::{DMat2, DVec2};
 
 use super::Piece;
-use crate::refine::options::Rotation;
+use crate::packing::Rotation;
 
 /// A rotation, after an optional mirroring of x.
 #[derive(Debug, Clone, Copy, PartialEq)]

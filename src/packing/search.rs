@@ -12,7 +12,7 @@ use super::shape::Shapes;
 use super::{Packing, Placement, Request};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result};
-use crate::refine::options::PackSearch;
+use crate::packing::PackSearch;
 
 /// Cells along the side of a square that would hold everything, in the coarse search, by number of pieces.
 const COARSE_SIDE: [(usize, f64); 5] = [(6, 256.0), (12, 160.0), (60, 224.0), (300, 352.0), (usize::MAX, 512.0)];

@@ -1,9 +1,9 @@
 //! In which format a refined texture is written, and what is to be said about it.
 
-use super::options::TextureFormat;
-use crate::asset::Slot;
 use crate::context::Context;
 use crate::error::Warning;
+use crate::texture::Slot;
+use crate::texture::TextureFormat;
 use crate::texture::{Format, Image, Samples, WEBP_SIDE};
 
 /// An uploaded file that a slot is read from.

@@ -9,9 +9,10 @@ use std::collections::BTreeMap;
 use glam::DVec2;
 
 use super::importance::Importance;
-use crate::asset::{Slot, TextureSet, grid};
+use crate::asset::{TextureSet, grid};
 use crate::atlas::{Atlas, FaceId, Provenance, Surface, UvId, VertexId};
 use crate::error::{Failure, Result, Warning};
+use crate::texture::Slot;
 use crate::texture::{Alpha, Format, Header};
 
 /// Sheets are placed at multiples of this many texels, and of what keeps the texels of every slot whole.

@@ -154,7 +154,7 @@ fn read(
             context.warn(Warning::new("not_merged", text));
         }
     }
-    let mut sets = asset::read(&doc, &options.atlas, context)?;
+    let mut sets = asset::read(&doc, options.atlas.reading(), context)?;
     for set in &mut sets {
         exempt_uniform(&doc, set, input.limits.max_image_pixels, context)?;
     }

@@ -9,6 +9,11 @@ use utoipa::ToSchema;
 use super::box_cutter::params::BoxCutter;
 use super::defrag::params::Defrag;
 pub use super::fabrication::{FabricationParams, Seams};
+use crate::asset::{ReadOptions, Tiling};
+use crate::atlas::OverlapMode;
+use crate::metrics::Requirement;
+use crate::packing::{Pack, Rotation};
+use crate::texture::Texture;
 
 /// All options of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -142,214 +147,6 @@ impl Stage {
     }
 }
 
-/// Rotations that packing may use.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Rotation {
-    /// Quarter turns: no texel is resampled.
-    Quarter,
-    /// Any angle: tighter, resampled.
-    Any,
-    /// None.
-    None,
-}
-
-/// How charts are placed on sheets.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Pack {
-    /// Rotations that are allowed.
-    pub rotation: Rotation,
-    /// Whether charts may be mirrored.
-    pub mirror: bool,
-    /// Charts move by multiples of this many texels of the smallest slot, 1..=64.
-    pub grid: u32,
-    /// Free texels between the texels of two charts, in the smallest slot, 0..=64; "auto" is 2 without mipmaps, else 4. With g of them, no
-    /// texel of mip levels 0 to log2 g mixes two charts, and up to the level before, filtering at a border reads nothing of another chart.
-    #[schema(value_type = Value)]
-    pub gutter: Gutter,
-    /// Width / height of a sheet; null is free.
-    #[schema(minimum = 0.01, maximum = 100)]
-    pub aspect: Option<f64>,
-    /// How hard packing searches.
-    pub search: PackSearch,
-}
-
-impl Default for Pack {
-    fn default() -> Self {
-        Pack {
-            rotation: Rotation::Quarter,
-            mirror: false,
-            grid: 1,
-            gutter: Gutter::Auto,
-            aspect: None,
-            search: PackSearch::Fast,
-        }
-    }
-}
-
-/// How hard packing searches.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum PackSearch {
-    /// Several orders and sheet shapes with the greedy raster packer: about a second.
-    Fast,
-    /// Then guided local search over layouts: about ten seconds on two cores, several points denser.
-    Thorough,
-}
-
-/// Gutter width.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Gutter {
-    /// 2 texels where the sampler has no mipmaps, else 4.
-    Auto,
-    /// Texels of the smallest slot.
-    Texels(u32),
-}
-
-impl Serialize for Gutter {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match self {
-            Gutter::Auto => serializer.serialize_str("auto"),
-            Gutter::Texels(n) => serializer.serialize_u32(*n),
-        }
-    }
-}
-
-impl<'de> Deserialize<'de> for Gutter {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let wanted = || serde::de::Error::custom("gutter is \"auto\" or a number of texels in 0..=64");
-        match Value::deserialize(deserializer)? {
-            Value::String(s) if s == "auto" => Ok(Gutter::Auto),
-            Value::Number(n) => {
-                let n = n.as_u64().filter(|n| *n <= 64).ok_or_else(wanted)?;
-                Ok(Gutter::Texels(n as u32))
-            }
-            _ => Err(wanted()),
-        }
-    }
-}
-
-/// Size of the output sheet.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Size {
-    /// Texel density is kept; the sheet becomes as small as the charts allow.
-    KeepDensity,
-    /// The sheet keeps its size; the charts are scaled to fill it.
-    KeepSize,
-    /// Width and height of the largest slot in texels.
-    Fixed([u32; 2]),
-}
-
-impl Serialize for Size {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match self {
-            Size::KeepDensity => serializer.serialize_str("keep_density"),
-            Size::KeepSize => serializer.serialize_str("keep_size"),
-            Size::Fixed(size) => size.serialize(serializer),
-        }
-    }
-}
-
-impl<'de> Deserialize<'de> for Size {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let value = Value::deserialize(deserializer)?;
-        match value.as_str() {
-            Some("keep_density") => return Ok(Size::KeepDensity),
-            Some("keep_size") => return Ok(Size::KeepSize),
-            _ => {}
-        }
-        serde_json::from_value::<[u32; 2]>(value)
-            .ok()
-            .filter(|s| s.iter().all(|n| (1..=16384).contains(n)))
-            .map(Size::Fixed)
-            .ok_or_else(|| {
-                serde::de::Error::custom(
-                    "size is \"keep_density\", \"keep_size\" or [width, height], each in 1..=16384",
-                )
-            })
-    }
-}
-
-/// What happens when the charts do not fit on one sheet of `max_size`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Overflow {
-    /// Further sheets.
-    Pages,
-    /// The charts are scaled down.
-    Scale,
-}
-
-/// Format of the output textures.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum TextureFormat {
-    /// PNG stays PNG, JPEG stays JPEG, lossless WebP stays WebP; KTX2 and lossy WebP become PNG.
-    Keep,
-    /// PNG, lossless.
-    Png,
-    /// JPEG; images with alpha or 16 bits become PNG.
-    Jpeg,
-    /// WebP, lossless (EXT_texture_webp); images of 16 bits become PNG.
-    Webp,
-}
-
-/// What the output textures are like.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Texture {
-    /// "keep_density", "keep_size" or [width, height] of the largest slot.
-    #[schema(value_type = Value)]
-    pub size: Size,
-    /// Sheet sides are multiples of this many texels, 1..=256.
-    pub multiple_of: u32,
-    /// Sheet sides are powers of two.
-    pub power_of_two: bool,
-    /// Longest side of a sheet in texels, 16..=16384.
-    pub max_size: u32,
-    /// What happens beyond `max_size`.
-    pub overflow: Overflow,
-    /// Format of the files.
-    pub format: TextureFormat,
-    /// Quality of JPEG files, 1..=100.
-    pub jpeg_quality: u8,
-}
-
-impl Default for Texture {
-    fn default() -> Self {
-        Texture {
-            size: Size::KeepDensity,
-            multiple_of: 4,
-            power_of_two: false,
-            max_size: 8192,
-            overflow: Overflow::Pages,
-            format: TextureFormat::Keep,
-            jpeg_quality: 92,
-        }
-    }
-}
-
-/// What happens to charts that share texels in the input.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum OverlapMode {
-    /// They stay together and are placed as one.
-    Stack,
-    /// Each gets its own place.
-    Separate,
-}
-
-/// What happens to charts that repeat their texture.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Tiling {
-    /// The repeated texels are baked out, up to a limit.
-    Bake,
-    /// Their material is left as it is.
-    Leave,
-}
-
 /// What happens when the refined textures have more pixels than the input's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -389,6 +186,13 @@ impl Default for AtlasOptions {
     }
 }
 
+impl AtlasOptions {
+    /// What reading a model needs of them.
+    pub fn reading(&self) -> ReadOptions {
+        ReadOptions { uv_set: self.uv_set, tiling: self.tiling }
+    }
+}
+
 /// Where weights come from: 1 is ordinary, 100 matters a hundred times as much, 0 not at all.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -411,18 +215,4 @@ pub enum Output {
     Glb,
     /// JSON with side files.
     Gltf,
-}
-
-/// Bounds on one figure of the report.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Requirement {
-    /// The figure after refinement is at least this.
-    pub min: Option<f64>,
-    /// The figure after refinement is at most this.
-    pub max: Option<f64>,
-    /// After minus before is at least this.
-    pub min_gain: Option<f64>,
-    /// After divided by before is at most this.
-    pub max_ratio: Option<f64>,
 }

@@ -4,12 +4,15 @@ use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Map, Value};
 
-use super::options::{IfLarger, Options, Overflow, OverlapMode, Pack, Rotation, Size};
-use super::stage::{Frame, Staged};
+use super::options::{IfLarger, Options};
+use super::stage::{SheetInfo, Staged};
+use crate::atlas::OverlapMode;
 use crate::atlas::{Atlas, ChartId, Charts, Clusters, Move, Topology, clusters, overlapping_charts};
 use crate::context::Context;
 use crate::error::{Code, Result, Warning};
 use crate::packing::{self, Packing, Piece, Placement, Request, Rounding, Spacing, Start};
+use crate::packing::{Pack, Rotation};
+use crate::texture::{Overflow, Size};
 
 /// Quarter-turned charts of mipmapped textures keep to multiples of this many texels, so that mip levels 1 and 2 stay as they were.
 const MIP_LATTICE: u32 = 4;
@@ -18,12 +21,12 @@ const MIP_LATTICE: u32 = 4;
 ///
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
-pub fn pack(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) -> Result<Staged> {
-    let (next, work) = lay_out(atlas, frame, options, &[], &[], 1.0, context)?;
+pub fn pack(atlas: &Atlas, sheet_info: &SheetInfo, options: &Options, context: &Context) -> Result<Staged> {
+    let (next, work) = lay_out(atlas, sheet_info, options, &[], &[], 1.0, context)?;
     let figures = Map::from_iter([("work".to_owned(), Value::from(work))]);
     let staged = Staged { atlas: next, stopped_by: "done", figures, kept: false };
-    if keeps_input(atlas, &staged.atlas, frame, options) {
-        return Ok(staged.undone(atlas, frame, context));
+    if keeps_input(atlas, &staged.atlas, sheet_info, options) {
+        return Ok(staged.undone(atlas, sheet_info, context));
     }
     Ok(staged)
 }
@@ -36,7 +39,7 @@ pub fn pack(atlas: &Atlas, frame: &Frame, options: &Options, context: &Context) 
 /// `too_large` when a chart fits on no sheet, `canceled`.
 pub(super) fn lay_out(
     atlas: &Atlas,
-    frame: &Frame,
+    sheet_info: &SheetInfo,
     options: &Options,
     starts: &[Start],
     free: &[bool],
@@ -51,17 +54,17 @@ pub(super) fn lay_out(
     let outlined = |own: &Vec<ChartId>| Piece { free: is_free(own), ..piece(atlas, &topology, &charts, own) };
     let pieces: Vec<Piece> = together.charts.par_iter().map(outlined).collect();
     let starts = if starts.iter().all(|s| s.places.len() == pieces.len()) { starts } else { &[] };
-    let packed = place(&pieces, frame, options, starts, effort, context)?;
+    let packed = place(&pieces, sheet_info, options, starts, effort, context)?;
     Ok((apply(atlas, &charts, &together, &packed), packed.work))
 }
 
 /// Whether the result has more pixels than the input and nothing else speaks for it.
-pub(super) fn keeps_input(before: &Atlas, after: &Atlas, frame: &Frame, options: &Options) -> bool {
+pub(super) fn keeps_input(before: &Atlas, after: &Atlas, sheet_info: &SheetInfo, options: &Options) -> bool {
     let area = |sheets: &[[u32; 2]]| sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
     options.atlas.if_larger == IfLarger::KeepInput
         && options.texture.size == Size::KeepDensity
-        && !frame.is_virtual
-        && !frame.joined
+        && !sheet_info.is_virtual
+        && !sheet_info.joined
         && area(&after.sheets) > area(&before.sheets)
         // Charts that were to be pulled apart need room of their own.
         && (options.atlas.overlaps == OverlapMode::Stack || overlapping_charts(before, &Charts::new(&Topology::new(before))).is_empty())
@@ -83,15 +86,15 @@ fn piece(atlas: &Atlas, topology: &Topology, charts: &Charts, own: &[ChartId]) -
 }
 
 /// What the options and the slots' sizes ask of packing.
-fn spacing(frame: &Frame, pack: &Pack, scaled: bool) -> Spacing {
-    let unit = f64::from(frame.unit);
-    let gutter = f64::from(frame.gutter(pack)) * unit;
+fn spacing(sheet_info: &SheetInfo, pack: &Pack, scaled: bool) -> Spacing {
+    let unit = f64::from(sheet_info.unit);
+    let gutter = f64::from(sheet_info.gutter(pack)) * unit;
     let margin = if gutter > 0.0 { (gutter / unit / 2.0).ceil().max(1.0) * unit } else { 0.0 };
     if pack.rotation == Rotation::Any || scaled {
         return Spacing { gutter, margin, lattice: None, unit };
     }
-    let steps = if frame.mipmaps && !frame.is_virtual {
-        pack.grid.max(MIP_LATTICE.min(frame.gutter(pack).max(1)))
+    let steps = if sheet_info.mipmaps && !sheet_info.is_virtual {
+        pack.grid.max(MIP_LATTICE.min(sheet_info.gutter(pack).max(1)))
     } else {
         pack.grid
     };
@@ -103,10 +106,10 @@ fn spacing(frame: &Frame, pack: &Pack, scaled: bool) -> Spacing {
 }
 
 /// The longest side that a sheet may have, and what sides are rounded to.
-fn sides(frame: &Frame, options: &Options) -> (f64, Rounding) {
+fn sides(sheet_info: &SheetInfo, options: &Options) -> (f64, Rounding) {
     let texture = &options.texture;
-    let step = f64::from(lcm(texture.multiple_of, frame.unit));
-    let round = match (frame.is_virtual, texture.power_of_two) {
+    let step = f64::from(lcm(texture.multiple_of, sheet_info.unit));
+    let round = match (sheet_info.is_virtual, texture.power_of_two) {
         (true, _) => Rounding::MultipleOf(1.0),
         (false, true) => Rounding::PowerOfTwo(step),
         (false, false) => Rounding::MultipleOf(step),
@@ -116,12 +119,12 @@ fn sides(frame: &Frame, options: &Options) -> (f64, Rounding) {
 
 /// Sides, the longer first, of the largest chart that has a sheet to lie on as it is; none where charts are scaled to a sheet whatever
 /// their size.
-pub(super) fn largest_chart(frame: &Frame, options: &Options) -> Option<[f64; 2]> {
+pub(super) fn largest_chart(sheet_info: &SheetInfo, options: &Options) -> Option<[f64; 2]> {
     if options.texture.size != Size::KeepDensity || options.texture.overflow != Overflow::Pages {
         return None;
     }
-    let (max, round) = sides(frame, options);
-    let Spacing { gutter, margin, lattice, unit } = spacing(frame, &options.pack, false);
+    let (max, round) = sides(sheet_info, options);
+    let Spacing { gutter, margin, lattice, unit } = spacing(sheet_info, &options.pack, false);
     let lost = 2.0 * (margin.max(gutter) + lattice.unwrap_or(unit));
     let [width, height] = largest_sheet(max, round, options.pack.aspect).map(|side| side - lost);
     Some([width.max(height), width.min(height)])
@@ -129,19 +132,19 @@ pub(super) fn largest_chart(frame: &Frame, options: &Options) -> Option<[f64; 2]
 
 fn place(
     pieces: &[Piece],
-    frame: &Frame,
+    sheet_info: &SheetInfo,
     options: &Options,
     starts: &[Start],
     effort: f64,
     context: &Context,
 ) -> Result<Packing> {
     let texture = &options.texture;
-    let (max, round) = sides(frame, options);
+    let (max, round) = sides(sheet_info, options);
     let request = Request {
         pieces,
         rotation: options.pack.rotation,
         mirror: options.pack.mirror,
-        spacing: spacing(frame, &options.pack, false),
+        spacing: spacing(sheet_info, &options.pack, false),
         aspect: options.pack.aspect,
         max: [max; 2],
         round,
@@ -153,7 +156,7 @@ fn place(
         seed: options.seed,
     };
     let fitted = |sheet: [f64; 2], largest: f64| -> Result<Packing> {
-        let request = Request { spacing: spacing(frame, &options.pack, true), ..request.clone() };
+        let request = Request { spacing: spacing(sheet_info, &options.pack, true), ..request.clone() };
         match packing::pack_into(&request, sheet, largest, context)? {
             Some(fitted) => Ok(fitted.packing),
             None => Err(crate::error::Failure::new(
@@ -167,7 +170,7 @@ fn place(
         }
     };
     match texture.size {
-        Size::KeepSize => return fitted(frame.reference.map(f64::from), f64::INFINITY),
+        Size::KeepSize => return fitted(sheet_info.reference.map(f64::from), f64::INFINITY),
         Size::Fixed(size) => return fitted(size.map(f64::from), f64::INFINITY),
         Size::KeepDensity => {}
     }
@@ -179,7 +182,7 @@ fn place(
                 "scaled_to_fit",
                 format!(
                     "the charts of atlas {} are scaled down to fit on a sheet of {} texels",
-                    frame.id, texture.max_size
+                    sheet_info.id, texture.max_size
                 ),
             ));
             fitted(largest_sheet(request.max[0], request.round, request.aspect), 1.0)

@@ -11,8 +11,11 @@ use serde_json::{Map, Value};
 
 use super::box_cutter::params::BoxCutter;
 use super::defrag::params::Defrag;
-use super::options::{Options, Pack, Recipe, Requirement, Stage, Texture};
+use super::options::{Options, Recipe, Stage};
 use crate::error::{Code, Failure};
+use crate::metrics::Requirement;
+use crate::packing::Pack;
+use crate::texture::Texture;
 pub use words::nearest;
 use words::{child, kind, name, short};
 
@@ -373,7 +376,8 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::refine::options::{Gutter, Rotation, Size};
+    use crate::packing::{Gutter, Rotation};
+    use crate::texture::Size;
 
     #[test]
     fn empty_options_are_the_defaults_and_every_default_reads_back() {

@@ -6,16 +6,18 @@ use serde_json::{Map, Value};
 use super::group::{Group, Member};
 use super::importance::{Importance, material_name};
 use super::load::{Loaded, Model};
-use super::options::{OverlapMode, Stage};
+use super::options::Stage;
 use super::textures::BakedSlot;
-use crate::asset::{Document, Slot, is_small};
+use crate::asset::{Document, is_small};
+use crate::atlas::OverlapMode;
 use crate::atlas::{Atlas, Charts, Clusters, Topology, clusters};
 use crate::context::Context;
 use crate::error::Result;
 use crate::metrics::{
-    AtlasReport, Frame, ImageReport, InputReport, Measures, ModelInput, ModelReport, Report, SlotSize, StageReport,
-    TextureReport, TextureSource, measure, roll_up,
+    AtlasReport, ImageReport, InputReport, MeasureInputs, Measures, ModelInput, ModelReport, Report, SlotSize,
+    StageReport, TextureReport, TextureSource, measure, roll_up,
 };
+use crate::texture::Slot;
 
 /// One group of texture sets on its way through the recipe.
 pub(super) struct Refinement<'a> {
@@ -138,14 +140,14 @@ pub(super) fn report(
 
 fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasReport {
     let set = r.group.set();
-    let of = |atlas: &Atlas, frame: Frame<'_>| {
+    let of = |atlas: &Atlas, inputs: MeasureInputs<'_>| {
         let topology = Topology::new(atlas);
         let charts = Charts::new(&topology);
         let clusters = clusters(atlas, &charts, OverlapMode::Stack);
-        measure(atlas, &topology, &charts, &Frame { clusters: &clusters, ..frame })
+        measure(atlas, &topology, &charts, &MeasureInputs { clusters: &clusters, ..inputs })
     };
     let none = Clusters::default();
-    let frame = Frame {
+    let inputs = MeasureInputs {
         input: None,
         clusters: &none,
         slots: &r.sizes(loaded, |_| true),
@@ -155,9 +157,12 @@ fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasRepo
     };
     let changed = || {
         let (input, resampled_area) = (Some(&set.atlas), r.resampled_area());
-        of(&r.atlas, Frame { input, slots: &r.sizes_after(loaded), smallest_slot: None, resampled_area, ..frame })
+        of(
+            &r.atlas,
+            MeasureInputs { input, slots: &r.sizes_after(loaded), smallest_slot: None, resampled_area, ..inputs },
+        )
     };
-    let (before, after) = rayon::join(|| of(&set.atlas, frame), || (!r.kept).then(changed));
+    let (before, after) = rayon::join(|| of(&set.atlas, inputs), || (!r.kept).then(changed));
     let after = after.unwrap_or_else(|| Measures { resampled_area: refined.then_some(0.0), ..before.clone() });
     let mut models: Vec<u64> = r.group.members.iter().map(|m| m.model as u64).collect();
     models.dedup();

@@ -6,9 +6,9 @@ use super::box_cutter::box_cutter;
 use super::defrag::defrag;
 use super::deliver::deliver;
 use super::load::load;
-use super::options::{Gutter, Options, Pack, Stage};
+use super::options::{Options, Stage};
 use super::report::{Refinement, report};
-use super::stage::{Frame, Staged};
+use super::stage::{SheetInfo, Staged};
 use super::textures::{Images, bake_slots};
 use super::{check, fabrication, pack};
 use crate::asset::{File, Limits};
@@ -16,6 +16,7 @@ use crate::atlas::Atlas;
 use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
 use crate::metrics::{Unmet, unmet};
+use crate::packing::{Gutter, Pack};
 
 /// What comes in.
 #[derive(Debug, Clone, Default)]
@@ -129,31 +130,31 @@ pub fn refine(input: &Input, options: &Options, context: &Context) -> Result<Out
 
 fn run_stage(stage: &Stage, refinement: &mut Refinement<'_>, options: &Options, context: &Context) -> Result<()> {
     let group = refinement.group;
-    let frame = Frame { joined: group.is_joined(), ..Frame::new(group.set()) };
+    let sheet_info = SheetInfo { joined: group.is_joined(), ..SheetInfo::new(group.set()) };
     // Allowances and flaps lie between the panels.
     let roomy = options.fabrication.as_ref().map(|params| {
-        let wanted = fabrication::gutter_texels(&refinement.atlas, params).div_ceil(frame.unit.max(1));
+        let wanted = fabrication::gutter_texels(&refinement.atlas, params).div_ceil(sheet_info.unit.max(1));
         let gutter = Gutter::Texels(wanted.max(if options.pack.gutter == Gutter::Auto {
             0
         } else {
-            frame.gutter(&options.pack)
+            sheet_info.gutter(&options.pack)
         }));
         Options { pack: Pack { gutter, ..options.pack.clone() }, ..options.clone() }
     });
     let options = roomy.as_ref().unwrap_or(options);
     let staged = match stage {
-        Stage::Pack {} => pack::pack(&refinement.atlas, &frame, options, context)?,
-        Stage::Defrag(params) => defrag(&refinement.atlas, &frame, params, options, context)?,
+        Stage::Pack {} => pack::pack(&refinement.atlas, &sheet_info, options, context)?,
+        Stage::Defrag(params) => defrag(&refinement.atlas, &sheet_info, params, options, context)?,
         Stage::BoxCutter(params) => {
             let weights: Option<Vec<[f64; 3]>> =
                 group.importance.as_ref().map(|i| refinement.atlas.provenance.iter().map(|p| i.at(p)).collect());
-            box_cutter(&refinement.atlas, &frame, weights.as_deref(), params, options, context)?
+            box_cutter(&refinement.atlas, &sheet_info, weights.as_deref(), params, options, context)?
         }
     };
     let Staged { atlas, stopped_by, figures, kept } = staged;
     if let Err(violation) = check::stage(&group.set().atlas, &atlas, context)? {
         debug_assert!(false, "{}: {violation}", stage.name());
-        let message = format!("{} was undone for atlas {}: {violation}", stage.name(), frame.id);
+        let message = format!("{} was undone for atlas {}: {violation}", stage.name(), sheet_info.id);
         context.warn(Warning::new("stage_reverted", message));
         refinement.ran(stage, "reverted", figures);
         return Ok(());

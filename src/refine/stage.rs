@@ -2,15 +2,15 @@
 
 use serde_json::{Map, Value};
 
-use super::options::{Gutter, Pack};
 use crate::asset::TextureSet;
 use crate::atlas::Atlas;
 use crate::context::Context;
 use crate::error::Warning;
+use crate::packing::{Gutter, Pack};
 
 /// What a stage may know of an Atlas' images: sizes and filtering, not contents.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Frame {
+pub struct SheetInfo {
     /// Number of the texture set.
     pub id: usize,
     /// Size of the reference sheet as uploaded.
@@ -30,10 +30,10 @@ pub struct Frame {
     pub joined: bool,
 }
 
-impl Frame {
-    /// The frame of a texture set.
+impl SheetInfo {
+    /// The sheet_info of a texture set.
     pub fn new(set: &TextureSet) -> Self {
-        let ratio = |slot: &crate::asset::Slot| {
+        let ratio = |slot: &crate::texture::Slot| {
             let along =
                 |side: usize, size: u32| (f64::from(set.reference[side]) / f64::from(size.max(1)) - 1e-9).ceil() as u32;
             along(0, slot.header.width).max(along(1, slot.header.height))
@@ -45,7 +45,7 @@ impl Frame {
             Some([x, y]) if x.max(y) <= 64 && x.max(y) % x.min(y).max(1) == 0 => x.max(y).max(smallest),
             _ => smallest,
         };
-        Frame {
+        SheetInfo {
             id: set.id,
             reference: set.reference,
             unit,
@@ -82,12 +82,12 @@ pub struct Staged {
 
 impl Staged {
     /// The input again, because the result would be no gain; with a warning.
-    pub(super) fn undone(self, input: &Atlas, frame: &Frame, context: &Context) -> Self {
+    pub(super) fn undone(self, input: &Atlas, sheet_info: &SheetInfo, context: &Context) -> Self {
         context.warn(Warning::new(
             "kept_input",
             format!(
                 "the sheet of atlas {} would not become smaller: it stays as uploaded (set atlas.if_larger to \"accept\" to take the result)",
-                frame.id
+                sheet_info.id
             ),
         ));
         Staged { atlas: input.clone(), stopped_by: "no_improvement", kept: true, ..self }

@@ -1,17 +1,19 @@
 //! What the options promise of charts, sheets and textures, from files to files.
 
+mod merge;
+
 use glam::{DVec2, DVec3, DVec4};
 use serde_json::{Value, json};
 
 use super::pack::pack;
-use super::stage::Frame;
+use super::stage::SheetInfo;
 use super::{Input, Outcome, parse, refine};
+use crate::asset::ReadOptions;
 use crate::asset::{
     self, Document, File, Limits, TextureSet, mikktspace, read_indices, read_vec2, read_vec3, read_vec4, sample,
 };
 use crate::atlas::{Atlas, Charts, Topology};
 use crate::context::Context;
-use crate::refine::options::AtlasOptions;
 use crate::texture::{Header, Image, Role, Samples, decode, header};
 
 fn uploaded(name: &str) -> File {
@@ -39,7 +41,7 @@ fn model(outcome: &Outcome) -> Document {
 }
 
 fn sets(doc: &Document) -> Vec<TextureSet> {
-    asset::read(doc, &AtlasOptions::default(), &Context::silent()).unwrap()
+    asset::read(doc, ReadOptions::default(), &Context::silent()).unwrap()
 }
 
 /// The files of the refined textures whose names contain `part`.
@@ -56,7 +58,7 @@ fn options(texture: Value, pack: Value) -> Value {
 fn packed(name: &str, options: Value) -> (Atlas, Atlas, Vec<String>) {
     let set = sets(&document(uploaded(name))).remove(0);
     let context = Context::silent();
-    let staged = pack(&set.atlas, &Frame::new(&set), &parse::options(&options).unwrap(), &context).unwrap();
+    let staged = pack(&set.atlas, &SheetInfo::new(&set), &parse::options(&options).unwrap(), &context).unwrap();
     (set.atlas, staged.atlas, context.warnings().into_iter().map(|w| w.code).collect())
 }
 

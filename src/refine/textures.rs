@@ -5,11 +5,12 @@ use glam::DVec2;
 use super::formats::{Plan, Upload};
 use super::group::{Group, Member};
 use super::load::Loaded;
-use super::options::Texture;
-use crate::asset::{Document, Slot, TextureSet, is_small, mark_uniform, small_slot_warning};
+use crate::asset::{Document, TextureSet, is_small, mark_uniform, small_slot_warning};
 use crate::atlas::Atlas;
 use crate::context::Context;
 use crate::error::{Code, Failure, Result};
+use crate::texture::Slot;
+use crate::texture::Texture;
 use crate::texture::{
     Alpha, Bake, Direction, FIDELITY_SAMPLES, Fidelity, Format, Image, Role, Samples, Source, Wrap, bake, decode,
     encode, fidelity, is_lossy,

@@ -11,10 +11,10 @@ use super::fill::fill;
 use super::map::{Map, Maps};
 use super::sample::{Footprint, Sampler};
 use super::{Alpha, Image, Samples, Wrap};
-use crate::asset::Slot;
 use crate::atlas::{Atlas, Charts, Topology};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result};
+use crate::texture::Slot;
 
 /// Texels of a band, about: what one task works on between two looks at the context.
 const BAND_TEXELS: u32 = 1 << 18;

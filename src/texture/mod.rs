@@ -12,8 +12,10 @@ mod encode;
 mod fidelity;
 mod fill;
 mod map;
+mod options;
 mod refit;
 mod sample;
+mod slot;
 mod widen;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
@@ -22,6 +24,8 @@ pub use decode::{decode, header, is_lossy, probe};
 pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};
+pub use options::{Overflow, Size, Texture, TextureFormat};
+pub use slot::{Reading, Slot};
 
 use serde::{Deserialize, Serialize};
 

@@ -8,9 +8,9 @@ use glam::{DMat2, DVec2, DVec3};
 use super::direction::Turn;
 use super::encode::tests::picture;
 use super::*;
-use crate::asset::{Reading, Slot};
 use crate::atlas::{Atlas, FaceId, Provenance, Surface, UvId, VertexId};
 use crate::context::Context;
+use crate::texture::{Reading, Slot};
 
 /// A small generator (splitmix64), so that each case can be told by its number.
 struct Random(u64);

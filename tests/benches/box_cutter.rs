@@ -8,10 +8,12 @@ mod common;
 
 use common::{filter, run, short};
 use intarsia::asset::{File, read_paths};
+use intarsia::atlas::OverlapMode;
 use intarsia::context::Context;
+use intarsia::packing::{Gutter, Rotation};
 use intarsia::refine::box_cutter::overlap::baseline::{Outlines, remove_overlaps_along_outlines};
 use intarsia::refine::box_cutter::params::{Cuts, Search};
-use intarsia::refine::options::{Gutter, IfLarger, Options, OverlapMode, Recipe, Rotation};
+use intarsia::refine::options::{IfLarger, Options, Recipe};
 use serde_json::Value;
 
 const BUDGETS: [f64; 3] = [1.3, 1.5, 2.0];
@@ -107,7 +109,7 @@ fn along_outlines(files: &[File]) -> f64 {
     let context = Context::silent();
     let cut = || {
         let (doc, _) = intarsia::asset::load(files, None, &intarsia::asset::Limits::default()).ok()?;
-        let sets = intarsia::asset::read(&doc, &Options::default().atlas, &context).ok()?;
+        let sets = intarsia::asset::read(&doc, Options::default().atlas.reading(), &context).ok()?;
         let atlas = &sets.first()?.atlas;
         let after = remove_overlaps_along_outlines(atlas, Outlines::All, &context).ok()?;
         Some(border(&after) / border(atlas) - 1.0)

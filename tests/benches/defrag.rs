@@ -11,8 +11,9 @@ use common::{filter, run, short};
 use intarsia::asset::sample::sample;
 use intarsia::asset::{File, read_paths};
 use intarsia::context::Context;
+use intarsia::packing::Gutter;
 use intarsia::refine::defrag::params::{Appeal, Defrag, Search};
-use intarsia::refine::options::{Gutter, IfLarger, Options};
+use intarsia::refine::options::{IfLarger, Options};
 use serde_json::Value;
 
 /// Columns of the table: how each is called, and how wide it is.

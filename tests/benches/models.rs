@@ -14,8 +14,11 @@ use std::time::{Duration, Instant};
 
 use common::{filter, run, short};
 use intarsia::asset::{File, read_paths};
+use intarsia::atlas::OverlapMode;
 use intarsia::context::Context;
-use intarsia::refine::options::{Gutter, IfLarger, Options, OverlapMode, Rotation, TextureFormat};
+use intarsia::packing::{Gutter, Rotation};
+use intarsia::refine::options::{IfLarger, Options};
+use intarsia::texture::TextureFormat;
 use serde_json::Value;
 
 fn main() {

@@ -1,10 +1,13 @@
 //! `--recipe box_cutter` on real models: valid, whole, free of overlaps, and without a trace of the cuts in the picture.
 
 use intarsia::asset::{File, Limits, load, read};
+use intarsia::atlas::OverlapMode;
 use intarsia::atlas::{Atlas, Topology};
 use intarsia::context::Context;
-use intarsia::refine::options::{IfLarger, Options, OverlapMode, Recipe, Rotation, TextureFormat};
+use intarsia::packing::Rotation;
+use intarsia::refine::options::{IfLarger, Options, Recipe};
 use intarsia::refine::{Input, Outcome, refine};
+use intarsia::texture::TextureFormat;
 use intarsia::texture::{Image, Samples, decode};
 
 use super::{data, geometry, node};
@@ -31,7 +34,7 @@ fn model(outcome: &Outcome) -> &[u8] {
 fn atlas(glb: &[u8]) -> Atlas {
     let files = [File { path: "model.glb".to_owned(), bytes: glb.to_vec() }];
     let (doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
-    read(&doc, &Options::default().atlas, &Context::silent()).expect("the model reads").swap_remove(0).atlas
+    read(&doc, Options::default().atlas.reading(), &Context::silent()).expect("the model reads").swap_remove(0).atlas
 }
 
 fn surface(atlas: &Atlas) -> f64 {

@@ -8,9 +8,11 @@ use intarsia::asset::sample::sample;
 use intarsia::asset::{File, Limits, load};
 use intarsia::context::{Context, Listener, Progress};
 use intarsia::error::Code;
+use intarsia::packing::Gutter;
 use intarsia::refine::defrag::params::Search;
-use intarsia::refine::options::{Gutter, IfLarger, Options, TextureFormat};
+use intarsia::refine::options::{IfLarger, Options};
 use intarsia::refine::{Input, Outcome, refine};
+use intarsia::texture::TextureFormat;
 use serde_json::Value;
 
 use super::{data, every};

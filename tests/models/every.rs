@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use intarsia::asset::sample::{names, sample};
 use intarsia::asset::{File, Limits, load};
 use intarsia::context::Context;
-use intarsia::refine::options::{IfLarger, Options, TextureFormat};
+use intarsia::refine::options::{IfLarger, Options};
 use intarsia::refine::{Input, Outcome, refine};
+use intarsia::texture::TextureFormat;
 use serde_json::Value;
 
 use super::expected::{AUTHORED, Expected, HOSTILE, SCANS};

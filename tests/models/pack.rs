@@ -1,9 +1,12 @@
 //! `--recipe pack` on real models: figures that hold.
 
 use intarsia::asset::File;
+use intarsia::atlas::OverlapMode;
 use intarsia::context::Context;
-use intarsia::refine::options::{Gutter, IfLarger, Options, OverlapMode, Rotation, TextureFormat};
+use intarsia::packing::{Gutter, Rotation};
+use intarsia::refine::options::{IfLarger, Options};
 use intarsia::refine::{Input, Outcome, refine};
+use intarsia::texture::TextureFormat;
 
 use super::data;
 

@@ -172,12 +172,12 @@ fn model(files: &[File], whole: bool) -> Result<(), Failure> {
         // What goes out can come in. It may be larger than what came.
         let limits = Limits::default();
         let (doc, _) = load(&[file("out.glb", &result.bytes)], None, &limits).expect("the result loads");
-        read(&doc, &options.atlas, &Context::silent()).expect("the result reads");
+        read(&doc, options.atlas.reading(), &Context::silent()).expect("the result reads");
         return Ok(());
     }
     doc.to_glb()?;
     doc.to_gltf()?;
-    read(&doc, &options.atlas, &Context::silent())?;
+    read(&doc, options.atlas.reading(), &Context::silent())?;
     Ok(())
 }
 

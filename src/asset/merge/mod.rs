@@ -10,7 +10,7 @@ mod draws;
 mod equal;
 mod join;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::collections::BTreeSet;
 

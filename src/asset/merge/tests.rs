@@ -8,12 +8,9 @@ use serde_json::{Value, json};
 use super::*;
 use crate::asset::fixture::{attribute, bowtie, document, mesh, primitive};
 use crate::asset::{File, Limits, load, read_indices, read_vec3};
-use crate::context::Context;
-use crate::refine::options::Options;
-use crate::refine::{Input, refine};
 
 /// Corner positions in the scene, and whether normals point to the side that the corners turn about, by triangle, sorted.
-fn scene(doc: &Document) -> Vec<([[i64; 3]; 3], bool)> {
+pub(crate) fn scene(doc: &Document) -> Vec<([[i64; 3]; 3], bool)> {
     fn walk(doc: &Document, n: usize, parent: DMat4, out: &mut Vec<([[i64; 3]; 3], bool)>) {
         let node = &doc.json["nodes"][n];
         let numbers = |k: &str| node[k].as_array().map(|a| a.iter().map(|v| v.as_f64().unwrap()).collect::<Vec<_>>());
@@ -55,7 +52,7 @@ fn scene(doc: &Document) -> Vec<([[i64; 3]; 3], bool)> {
 }
 
 /// Two textured materials with images of one content, an untextured one, and three nodes: one mirrored, one turned, one animated.
-fn model() -> Document {
+pub(crate) fn model() -> Document {
     let mut doc = document(&[[32, 32], [32, 32]]);
     doc.json["materials"] = json!([
         { "name": "a", "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "metallicFactor": 0 } },
@@ -118,31 +115,9 @@ fn what_is_drawn_alike_is_drawn_at_once() {
     load(&[file], None, &Limits::default()).unwrap();
 }
 
-fn counts(draws: [u64; 2], images: [u64; 2], textures: [u64; 2]) -> (Counts, Counts, Counts) {
+pub(crate) fn counts(draws: [u64; 2], images: [u64; 2], textures: [u64; 2]) -> (Counts, Counts, Counts) {
     let one = |[before, after]: [u64; 2]| Counts { before, after };
     (one(draws), one(images), one(textures))
-}
-
-#[test]
-fn a_merged_model_has_one_texture_and_looks_the_same() {
-    let doc = model();
-    let before = scene(&doc);
-    let files = vec![File { path: "m.glb".to_owned(), bytes: doc.to_glb().unwrap() }];
-    let mut options = Options::default();
-    options.atlas.merge = true;
-    let input = Input { models: vec![files], limits: Limits::default(), extras: false };
-    let outcome = refine(&input, &options, &Context::silent()).unwrap();
-    let merged: Vec<Merged> = serde_json::from_value(outcome.report["merged"].clone()).unwrap();
-    assert_eq!((merged[0].draw_calls, merged[0].images, merged[0].textures), counts([5, 2], [2, 1], [2, 1]));
-    assert_eq!(merged[0].materials[2].folded, ["baseColorFactor"]);
-    assert!(merged[0].materials[2].rounding <= 0.5);
-    let texture = &outcome.report["textures"][0];
-    assert_eq!((&texture["exact"], &texture["psnr_db"]), (&json!(true), &json!(120.0)));
-    let bytes = outcome.artifacts.iter().find(|a| a.name == "model.glb").unwrap().bytes.clone();
-    let (out, _) = load(&[File { path: "m.glb".to_owned(), bytes }], None, &Limits::default()).unwrap();
-    assert_eq!(scene(&out), before);
-    assert_eq!(out.json["materials"].as_array().unwrap().len(), 3, "materials keep their numbers");
-    assert_eq!((out.images.len(), out.json["meshes"][0]["primitives"].as_array().unwrap().len()), (1, 1));
 }
 
 #[test]

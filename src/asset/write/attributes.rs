@@ -85,7 +85,7 @@ pub(super) fn emit(
 }
 
 /// What tangents turn about, by vertex of the pool.
-struct Frame {
+struct TangentFrame {
     normals: Vec<[f32; 3]>,
     /// TANGENT.w as uploaded.
     hands: Vec<f32>,
@@ -98,7 +98,7 @@ struct Emitter<'a> {
     /// Whether any vertex lies between uploaded ones.
     split: bool,
     /// Where tangents turn: with NORMAL and TANGENT both.
-    frame: Option<Frame>,
+    frame: Option<TangentFrame>,
 }
 
 impl Emitter<'_> {
@@ -124,7 +124,7 @@ impl Emitter<'_> {
         Value::from(self.out.append_accessor(raw, Some(ARRAY_BUFFER), bounds))
     }
 
-    fn frame(&self, attributes: &Map<String, Value>, pointer: &str) -> Result<Option<Frame>> {
+    fn frame(&self, attributes: &Map<String, Value>, pointer: &str) -> Result<Option<TangentFrame>> {
         let (Some(normal), Some(tangent)) = (attributes.get("NORMAL"), attributes.get("TANGENT")) else {
             return Ok(None);
         };
@@ -137,7 +137,7 @@ impl Emitter<'_> {
         let more = points.iter().map(|p| hands.get(nearest(p) as usize).copied().unwrap_or(1.0));
         let more: Vec<f32> = more.collect();
         hands.extend(more);
-        Ok(Some(Frame { normals, hands }))
+        Ok(Some(TangentFrame { normals, hands }))
     }
 
     fn uvs(&mut self, old: &[[f32; 2]]) -> Value {

@@ -4,13 +4,13 @@ use glam::{DAffine2, DMat2, DVec2, DVec3};
 use serde_json::{Value, json};
 
 use super::*;
+use crate::asset::ReadOptions;
 use crate::asset::fixture::{attribute, bowtie, document, mesh, png, primitive};
 use crate::asset::{File, Limits, load, raw_elements, read, read_indices, read_vec2, read_vec3, read_vec4};
 use crate::atlas::{Charts, FaceId, Move, Provenance, Topology, UvId, VertexId};
-use crate::refine::options::AtlasOptions;
 
 fn sets_of(doc: &Document) -> Vec<TextureSet> {
-    read(doc, &AtlasOptions::default(), &Context::silent()).unwrap()
+    read(doc, ReadOptions::default(), &Context::silent()).unwrap()
 }
 
 /// Charts moved as told, one page unless told.

@@ -10,8 +10,9 @@ use crate::asset::json::object_mut;
 use crate::asset::scan::{SOURCES, Scan, TextureUse};
 use crate::asset::sets::class;
 use crate::asset::sources::{drop_images, each_source};
-use crate::asset::{Document, Layout, Slot, transform};
+use crate::asset::{Document, Layout, transform};
 use crate::error::{Failure, Result};
+use crate::texture::Slot;
 use crate::texture::{Format, Wrap};
 
 /// glTF's number of the wrap mode CLAMP_TO_EDGE.

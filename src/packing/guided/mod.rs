@@ -33,7 +33,7 @@ use super::random::Random;
 use super::{Packing, Placement, Request};
 use crate::context::Context;
 use crate::error::Result;
-use crate::refine::options::Rotation;
+use crate::packing::Rotation;
 
 /// By number of pieces: cells along the side of a square that would hold everything, along the side of a block, and walkers to start with.
 const SIDE: [(usize, f64, usize, usize); 6] = [

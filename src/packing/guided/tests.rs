@@ -4,8 +4,8 @@ use glam::{DMat2, DVec2};
 
 use crate::context::Context;
 use crate::packing::random::Random;
+use crate::packing::{PackSearch, Rotation};
 use crate::packing::{Packing, Piece, Request, Rounding, Spacing, pack, pack_into};
-use crate::refine::options::{PackSearch, Rotation};
 
 /// Stars: concave, so that they interlock.
 fn stars(seed: u64, n: usize) -> Vec<Piece> {

@@ -30,13 +30,15 @@ use self::field::Field;
 use self::panel::Raster;
 use self::params::{BoxCutter, Cuts, Search};
 use self::search::{Found, Ground, Limits, State, search};
-use super::options::{Options, OverlapMode, Pack, PackSearch, Rotation};
+use super::options::Options;
 use super::pack::{keeps_input, lay_out};
-use super::stage::{Frame, Staged};
+use super::stage::{SheetInfo, Staged};
+use crate::atlas::OverlapMode;
 use crate::atlas::{Atlas, ChartId, Charts, HalfEdge, Topology, clusters};
 use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
 use crate::packing::Pitch;
+use crate::packing::{Pack, PackSearch, Rotation};
 
 /// Cells along the side of a square that would hold everything, by number of panels.
 const CELLS: [(usize, f64); 3] = [(60, 160.0), (200, 208.0), (usize::MAX, 288.0)];
@@ -59,7 +61,7 @@ const EFFORT: f64 = 0.1;
 /// `too_large` when a chart fits on no sheet, `canceled`.
 pub(crate) fn box_cutter(
     atlas: &Atlas,
-    frame: &Frame,
+    sheet_info: &SheetInfo,
     weights: Option<&[[f64; 3]]>,
     params: &BoxCutter,
     options: &Options,
@@ -67,17 +69,17 @@ pub(crate) fn box_cutter(
 ) -> Result<Staged> {
     let unit = longest_side(atlas);
     let mut figures = Map::new();
-    let clean = without_overlaps(atlas, frame, weights, params, options, &mut figures, context)?;
+    let clean = without_overlaps(atlas, sheet_info, weights, params, options, &mut figures, context)?;
 
     let topology = Topology::new(&clean);
     let charts = Charts::new(&topology);
     let together = clusters(&clean, &charts, options.atlas.overlaps);
-    let along_edges = params.cuts == Cuts::Edges || params.cuts == Cuts::Auto && frame.animated;
+    let along_edges = params.cuts == Cuts::Edges || params.cuts == Cuts::Auto && sheet_info.animated;
     let panels = start::panels(&clean, &topology, &charts, &together, along_edges, options.pack.rotation);
     let held: f64 = panels.iter().filter(|p| !p.cuttable()).map(|p| p.area).fold(0.0, |a, b| a + b);
     let total: f64 = panels.iter().map(|p| p.area).sum();
     let length: f64 = panels.iter().map(|p| p.length).sum();
-    let sheet = sheet(&panels, frame, options);
+    let sheet = sheet(&panels, sheet_info, options);
     let (arrangement, _) = sheet.arrange(&panels, None);
     let Some(arrangement) = arrangement else { return Err(Failure::internal("no strip holds the panels")) };
     let ground = Ground {
@@ -113,7 +115,7 @@ pub(crate) fn box_cutter(
     let found = search(start, &ground, &limits, context)?;
     let ready = Clean { atlas: &clean, topology: &topology, charts: &charts };
 
-    let (state, laid, work) = finish(&ready, &found, &ground, &limits, frame, options, context)?;
+    let (state, laid, work) = finish(&ready, &found, &ground, &limits, sheet_info, options, context)?;
     figures.extend([
         ("work".to_owned(), json!(found.work + work)),
         ("candidates".to_owned(), json!(found.tried)),
@@ -128,13 +130,13 @@ pub(crate) fn box_cutter(
             format!(
                 "{:.1} % of the area of atlas {} is not cut: charts that share texels, or that overlap themselves",
                 100.0 * held / total,
-                frame.id
+                sheet_info.id
             ),
         ));
     }
     let staged = Staged { atlas: laid, stopped_by: found.stopped_by, figures, kept: false };
-    if keeps_input(atlas, &staged.atlas, frame, options) {
-        return Ok(staged.undone(atlas, frame, context));
+    if keeps_input(atlas, &staged.atlas, sheet_info, options) {
+        return Ok(staged.undone(atlas, sheet_info, context));
     }
     Ok(staged)
 }
@@ -149,7 +151,7 @@ struct Clean<'a> {
 /// Overlap removal and welding (section 4). What it changed lies apart from the rest afterwards.
 fn without_overlaps(
     atlas: &Atlas,
-    frame: &Frame,
+    sheet_info: &SheetInfo,
     weights: Option<&[[f64; 3]]>,
     params: &BoxCutter,
     options: &Options,
@@ -181,10 +183,10 @@ fn without_overlaps(
         next = removed.atlas;
     }
     // A weld turns a chart by any angle: texels that shall not be resampled stay where they are.
-    if params.weld && (options.pack.rotation == Rotation::Any || frame.is_virtual) {
+    if params.weld && (options.pack.rotation == Rotation::Any || sheet_info.is_virtual) {
         context.step(0.06, "welding")?;
         let charts = Charts::new(&Topology::new(&next));
-        let efficiency = |a: &Atlas| packed_efficiency(a, frame, options);
+        let efficiency = |a: &Atlas| packed_efficiency(a, sheet_info, options);
         let welded = weld::weld(&next, &|c| touchable(&charts, c), params.weld_loss, &efficiency, context)?;
         figures.insert("welds".to_owned(), json!(welded.welds));
         figures.insert("welds_undone".to_owned(), json!(welded.undone));
@@ -209,7 +211,7 @@ fn without_overlaps(
         .map(|((_, chart), _)| *chart)
         .collect();
     let moved: Vec<bool> = charts.of_face.iter().map(|c| cut.contains(c)).collect();
-    let step = f64::from(frame.unit) * 64.0;
+    let step = f64::from(sheet_info.unit) * 64.0;
     Ok(next.set_apart(&moved, step))
 }
 
@@ -219,7 +221,7 @@ fn finish(
     found: &Found,
     ground: &Ground<'_>,
     limits: &Limits,
-    frame: &Frame,
+    sheet_info: &SheetInfo,
     options: &Options,
     context: &Context,
 ) -> Result<(State, Atlas, u64)> {
@@ -236,7 +238,7 @@ fn finish(
         let effort = if options.pack.search == PackSearch::Thorough { 1.0 / FINALS as f64 } else { EFFORT };
         // A small budget of work is small for all that is done.
         let effort = effort * (limits.work as f64 / USUAL_WORK).min(1.0);
-        let (laid, own) = lay_out(&cut, frame, &own, layout.as_slice(), &[], effort, context)?;
+        let (laid, own) = lay_out(&cut, sheet_info, &own, layout.as_slice(), &[], effort, context)?;
         work += own;
         // What packing made of it, weighed as in the search.
         let worth = state.worth(ground, limits) / state.arrangement.efficiency.max(1e-300) * efficiency(&laid);
@@ -249,8 +251,8 @@ fn finish(
 }
 
 /// How panels are rasterised and on which strips they are tried.
-fn sheet(panels: &[std::sync::Arc<panel::Panel>], frame: &Frame, options: &Options) -> Sheet {
-    let gutter = f64::from(frame.gutter(&options.pack)) * f64::from(frame.unit);
+fn sheet(panels: &[std::sync::Arc<panel::Panel>], sheet_info: &SheetInfo, options: &Options) -> Sheet {
+    let gutter = f64::from(sheet_info.gutter(&options.pack)) * f64::from(sheet_info.unit);
     let grown: f64 = panels.iter().map(|p| p.area + 0.5 * gutter * p.length).sum();
     let side = (grown / 0.75).sqrt().max(1e-9);
     let cells = CELLS.iter().find(|(n, _)| panels.len() <= *n).map_or(160.0, |(_, c)| *c);
@@ -281,13 +283,13 @@ fn sheet(panels: &[std::sync::Arc<panel::Panel>], frame: &Frame, options: &Optio
 }
 
 /// Packing efficiency at the resolution of the search.
-fn packed_efficiency(atlas: &Atlas, frame: &Frame, options: &Options) -> Result<f64> {
+fn packed_efficiency(atlas: &Atlas, sheet_info: &SheetInfo, options: &Options) -> Result<f64> {
     let topology = Topology::new(atlas);
     let charts = Charts::new(&topology);
     // Where charts were cut or moved they may lie on each other: each is its own.
     let together = clusters(atlas, &charts, OverlapMode::Separate);
     let panels = start::panels(atlas, &topology, &charts, &together, false, options.pack.rotation);
-    Ok(sheet(&panels, frame, options).arrange(&panels, None).0.map_or(0.0, |a| a.efficiency))
+    Ok(sheet(&panels, sheet_info, options).arrange(&panels, None).0.map_or(0.0, |a| a.efficiency))
 }
 
 /// Area of the charts over the area of their boxes, page by page.

@@ -7,8 +7,8 @@ use glam::{DMat2, DVec2};
 use super::edges::Patch;
 use super::outline::{Line, Outline};
 use super::void::{VoidBox, void_boxes};
+use crate::packing::Rotation;
 use crate::packing::{Mask, Orientation, Pitch, Probe, Shape};
-use crate::refine::options::Rotation;
 
 /// How panels are rasterised during the search.
 #[derive(Debug, Clone, Copy)]

@@ -10,9 +10,10 @@ use super::edges::{Mesh, Patch};
 use super::outline::Outline;
 use super::panel::{Panel, Raster};
 use super::search::{Cut, State};
+use crate::atlas::OverlapMode;
 use crate::atlas::{Atlas, ChartId, Charts, Clusters, FaceId, Loops, Segment, Slicer, Topology, clusters, overlaps};
+use crate::packing::Rotation;
 use crate::packing::Start as Layout;
-use crate::refine::options::{OverlapMode, Rotation};
 
 /// Overlapping pairs that are looked for; beyond, charts are told apart by their areas alone.
 const PAIRS: usize = 1_000_000;

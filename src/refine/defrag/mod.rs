@@ -28,12 +28,14 @@ use self::mesh::Mesh;
 use self::params::{Defrag, Search};
 use self::queue::Queue;
 use self::room::Room;
-use super::options::{Options, OverlapMode, Rotation};
+use super::options::Options;
 use super::pack::{keeps_input, largest_chart, lay_out};
-use super::stage::{Frame, Staged};
+use super::stage::{SheetInfo, Staged};
+use crate::atlas::OverlapMode;
 use crate::atlas::{Atlas, Charts, NONE, Topology, clusters};
 use crate::context::Context;
 use crate::error::{Result, Warning};
+use crate::packing::Rotation;
 
 /// Operations that are tried ahead of their turn at most.
 const AHEAD: usize = 64;
@@ -44,7 +46,7 @@ const AHEAD: usize = 64;
 /// `too_large` when a chart fits on no sheet, `canceled`.
 pub(crate) fn defrag(
     atlas: &Atlas,
-    frame: &Frame,
+    sheet_info: &SheetInfo,
     params: &Defrag,
     options: &Options,
     context: &Context,
@@ -53,27 +55,31 @@ pub(crate) fn defrag(
     let together = clusters(atlas, &charts, options.atlas.overlaps);
     let open: Vec<bool> =
         charts.ids().map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1).collect();
-    let (mesh, room, mut figures) = merge_charts(atlas, &charts, &open, frame, params, options, context)?;
+    let (mesh, room, mut figures) = merge_charts(atlas, &charts, &open, sheet_info, params, options, context)?;
     let held: f64 = held_back(atlas, &charts, &open);
     figures.insert("held_back".to_owned(), json!(held));
     if held > 0.0 && options.atlas.overlaps == OverlapMode::Stack {
         context.warn(Warning::new(
             "held_back",
-            format!("{:.1} % of the area of atlas {} is not merged: charts that share texels", 100.0 * held, frame.id),
+            format!(
+                "{:.1} % of the area of atlas {} is not merged: charts that share texels",
+                100.0 * held,
+                sheet_info.id
+            ),
         ));
     }
     let whole_texels = options.pack.rotation != Rotation::Any;
-    let placed = place::place(mesh, atlas, params.min_preserved, frame, room, whole_texels);
+    let placed = place::place(mesh, atlas, params.min_preserved, sheet_info, room, whole_texels);
     figures.insert("preserved_area".to_owned(), json!(placed.preserved));
     context.step(0.75, "packing")?;
     // Where charts came to lie others may lie already: they share no texels for that.
     let moved: Vec<bool> = atlas.faces().map(|f| atlas.uv_triangle(f) != placed.atlas.uv_triangle(f)).collect();
-    let apart = placed.atlas.set_apart(&moved, f64::from(frame.unit) * 64.0);
-    let (laid, work) = lay_out(&apart, frame, options, &[], &placed.free, 1.0, context)?;
+    let apart = placed.atlas.set_apart(&moved, f64::from(sheet_info.unit) * 64.0);
+    let (laid, work) = lay_out(&apart, sheet_info, options, &[], &placed.free, 1.0, context)?;
     figures.insert("pack_work".to_owned(), json!(work));
     let staged = Staged { atlas: laid, stopped_by: "done", figures, kept: false };
-    if keeps_input(atlas, &staged.atlas, frame, options) {
-        return Ok(staged.undone(atlas, frame, context));
+    if keeps_input(atlas, &staged.atlas, sheet_info, options) {
+        return Ok(staged.undone(atlas, sheet_info, context));
     }
     Ok(staged)
 }
@@ -96,15 +102,15 @@ fn merge_charts(
     atlas: &Atlas,
     charts: &Charts,
     open: &[bool],
-    frame: &Frame,
+    sheet_info: &SheetInfo,
     params: &Defrag,
     options: &Options,
     context: &Context,
 ) -> Result<(Mesh, Option<Room>, Map<String, Value>)> {
     context.step(0.02, "finding seams")?;
-    let mut mesh = Mesh::new(atlas, charts, open, !frame.directions);
-    let mut queue = Queue::new(&mesh, params, f64::from(frame.unit), context.seed ^ options.seed);
-    let room = largest_chart(frame, options).and_then(|sides| Room::new(&mesh, sides));
+    let mut mesh = Mesh::new(atlas, charts, open, !sheet_info.directions);
+    let mut queue = Queue::new(&mesh, params, f64::from(sheet_info.unit), context.seed ^ options.seed);
+    let room = largest_chart(sheet_info, options).and_then(|sides| Room::new(&mesh, sides));
     let pool = Pool::default();
     let weight: f64 = mesh.weight.iter().sum::<f64>().max(1e-300);
     let surface: f64 = mesh.area.iter().sum();

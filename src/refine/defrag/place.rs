@@ -10,7 +10,7 @@ use super::room::Room;
 use crate::atlas::Atlas;
 use crate::atlas::bvh::Bounds;
 use crate::atlas::rigid::Rigid;
-use crate::refine::stage::Frame;
+use crate::refine::stage::SheetInfo;
 
 /// How far corners may lie from whole texels to be put there: resampling counts less than this as none.
 const WHOLE: f64 = 5e-4;
@@ -34,11 +34,11 @@ pub(super) fn place(
     mesh: Mesh,
     before: &Atlas,
     least: f64,
-    frame: &Frame,
+    sheet_info: &SheetInfo,
     room: Option<Room>,
     whole_texels: bool,
 ) -> Placed {
-    let unit = f64::from(frame.unit);
+    let unit = f64::from(sheet_info.unit);
     let mut motion = vec![Rigid::IDENTITY; mesh.charts.len()];
     let mut exact = vec![false; mesh.corners.len()];
     let mut free = vec![true; mesh.charts.len()];

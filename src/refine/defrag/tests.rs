@@ -4,7 +4,8 @@ use super::params::{Appeal, Search};
 use super::*;
 use crate::atlas::testing::{Rng, sheet};
 use crate::atlas::{Exactness, FaceId, UvId, check};
-use crate::refine::options::{AtlasOptions, Gutter, IfLarger, Pack};
+use crate::packing::{Gutter, Pack};
+use crate::refine::options::{AtlasOptions, IfLarger};
 
 /// A rectangle of faces, torn into squares of `side` x `side` faces that are turned, shifted and bent a little; texels of a
 /// sheet of 2048.
@@ -39,8 +40,8 @@ fn torn(n: usize, side: usize, turn: f64, bend: f64, seed: u64) -> Atlas {
     atlas
 }
 
-fn frame() -> Frame {
-    Frame {
+fn sheet_info() -> SheetInfo {
+    SheetInfo {
         id: 0,
         reference: [2048, 2048],
         unit: 1,
@@ -61,7 +62,7 @@ fn options() -> Options {
 }
 
 fn run(atlas: &Atlas, params: &Defrag) -> Staged {
-    let staged = defrag(atlas, &frame(), params, &options(), &Context::silent()).expect("it packs");
+    let staged = defrag(atlas, &sheet_info(), params, &options(), &Context::silent()).expect("it packs");
     assert_eq!(check(atlas, &staged.atlas, Exactness::Exact), Ok(()));
     staged
 }
@@ -124,7 +125,7 @@ fn charts_grow_no_larger_than_a_sheet() {
     let paged = |max_size: u32| {
         let mut options = options();
         options.texture.max_size = max_size;
-        defrag(&atlas, &frame(), &Defrag::default(), &options, &Context::silent()).expect("it packs")
+        defrag(&atlas, &sheet_info(), &Defrag::default(), &options, &Context::silent()).expect("it packs")
     };
     // 192 texels of charts of 32: on pages of 96 they stay as large as they are.
     let staged = paged(96);
@@ -182,9 +183,9 @@ fn broken_input_is_met() {
     let open = vec![true; charts_before.len()];
     let options = options();
     let (mesh, room, _) =
-        merge_charts(&atlas, &charts_before, &open, &frame(), &Defrag::default(), &options, &Context::silent())
+        merge_charts(&atlas, &charts_before, &open, &sheet_info(), &Defrag::default(), &options, &Context::silent())
             .expect("it ends");
-    let merged = place::place(mesh, &atlas, 0.05, &frame(), room, true).atlas;
+    let merged = place::place(mesh, &atlas, 0.05, &sheet_info(), room, true).atlas;
     assert!(charts(&merged) < charts_before.len());
     assert_eq!(merged.face_count(), atlas.face_count());
 }
@@ -194,6 +195,6 @@ fn it_stops_when_cancelled() {
     let atlas = torn(12, 4, 3.0, 0.1, 17);
     let cancel = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
     let context = Context::new(std::sync::Arc::new(crate::context::Silent), cancel, 0);
-    let failure = defrag(&atlas, &frame(), &Defrag::default(), &options(), &context).unwrap_err();
+    let failure = defrag(&atlas, &sheet_info(), &Defrag::default(), &options(), &context).unwrap_err();
     assert_eq!(failure.code, crate::error::Code::Canceled);
 }

@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use glam::{DVec2, DVec3};
 use serde_json::{Value, json};
 
+use crate::asset::ReadOptions;
 use crate::asset::{self, Document, File, Limits, TextureSet, fixture, sample};
 use crate::atlas::{Charts, FaceId, Topology, overlapping_charts};
 use crate::context::Context;
-use crate::refine::options::{AtlasOptions, Options};
+use crate::refine::options::Options;
 use crate::refine::{Input, Outcome, parse, refine};
 use crate::texture::{Format, Image, Role, Samples, decode};
 
@@ -37,7 +38,7 @@ fn artifact(outcome: &Outcome, name: &str) -> File {
 }
 
 fn sets(doc: &Document) -> Vec<TextureSet> {
-    asset::read(doc, &AtlasOptions::default(), &Context::silent()).unwrap()
+    asset::read(doc, ReadOptions::default(), &Context::silent()).unwrap()
 }
 
 /// Positions and base colours at points of a triangle.

@@ -4,9 +4,9 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::*;
+use crate::asset::ReadOptions;
 use crate::asset::{ARRAY_BUFFER, RawAccessor, fixture};
 use crate::atlas::FaceId;
-use crate::refine::options::AtlasOptions;
 use crate::texture::{Format, encode};
 
 /// A bowtie with an attribute of floats by vertex.
@@ -20,7 +20,7 @@ fn model(attribute: Option<[f32; 5]>) -> (Document, Vec<TextureSet>) {
     let ids = RawAccessor::from_indices(&[1, 2, 3, 4, 5]);
     primitive["attributes"]["_ID"] = Value::from(doc.append_accessor(&ids, Some(ARRAY_BUFFER), false));
     fixture::mesh(&mut doc, vec![primitive]);
-    let sets = asset::read(&doc, &AtlasOptions::default(), &Context::silent()).unwrap();
+    let sets = asset::read(&doc, ReadOptions::default(), &Context::silent()).unwrap();
     (doc, sets)
 }
 

@@ -5,7 +5,8 @@ use super::{MAX_METADATA_BYTES, Problem};
 use crate::refine::box_cutter::params::BoxCutter;
 use crate::refine::defrag::params::Defrag;
 use crate::refine::importance::attribute_and_component;
-use crate::refine::options::{ImportanceSource, Options, Recipe, Size, Stage};
+use crate::refine::options::{ImportanceSource, Options, Recipe, Stage};
+use crate::texture::Size;
 
 /// What the types cannot say.
 pub(super) fn ranges(o: &Options) -> Vec<Problem> {

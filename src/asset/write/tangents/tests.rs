@@ -4,11 +4,11 @@ use glam::{DAffine2, DVec2, DVec3};
 use serde_json::{Value, json};
 
 use super::*;
+use crate::asset::ReadOptions;
 use crate::asset::write::{BakedImage, read_back, write};
 use crate::asset::{TextureSet, fixture, read, read_indices, read_vec4};
 use crate::atlas::{Charts, Move, Provenance, UvId};
 use crate::context::Context;
-use crate::refine::options::AtlasOptions;
 use crate::texture::Format;
 
 /// A bent strip of squares with smooth normals and a normal map, its UVs sheared, so that tangents are no one's edges.
@@ -37,7 +37,7 @@ fn strip(squares: usize) -> Document {
 }
 
 fn set_of(doc: &Document) -> TextureSet {
-    read(doc, &AtlasOptions::default(), &Context::silent()).unwrap().remove(0)
+    read(doc, ReadOptions::default(), &Context::silent()).unwrap().remove(0)
 }
 
 fn written(doc: &Document, set: &TextureSet, atlas: &Atlas) -> Document {

@@ -6,9 +6,9 @@ use prometheus::{
     Encoder, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry, TextEncoder,
 };
 
+use super::queue::End;
+use super::record::State;
 use crate::error::{Failure, Result};
-use crate::jobs::queue::End;
-use crate::jobs::record::State;
 
 /// Upper bounds of the buckets of job and stage times, in seconds.
 const WORK: &[f64] = &[0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
