@@ -1,7 +1,6 @@
 //! Charts and their boundary loops, derived from the topology.
 
-use super::topology::{HalfEdge, NONE};
-use super::{Atlas, ChartId, FaceId, Topology, UvId};
+use super::{Atlas, ChartId, FaceId, HalfEdge, Topology, UvId};
 
 /// The charts of an Atlas: connected components of faces over UV edges.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -15,11 +14,11 @@ pub struct Charts {
 impl Charts {
     /// Derives the charts.
     pub fn new(topology: &Topology) -> Self {
-        let n = topology.uv_twin.len() / 3;
+        let n = topology.len() / 3;
         let mut of_face = vec![ChartId(u32::MAX); n];
         let mut faces: Vec<Vec<FaceId>> = Vec::new();
-        let mut crowded: Vec<[FaceId; 2]> = topology.crowded.iter().flat_map(|&[a, b]| [[a, b], [b, a]]).collect();
-        crowded.sort_unstable();
+        let mut incident: Vec<[FaceId; 2]> = topology.incident_faces().flat_map(|[a, b]| [[a, b], [b, a]]).collect();
+        incident.sort_unstable();
         let mut stack = Vec::new();
         for seed in 0..n {
             if of_face[seed].0 != u32::MAX {
@@ -28,21 +27,22 @@ impl Charts {
             let chart = ChartId::new(faces.len());
             of_face[seed] = chart;
             stack.push(seed);
-            let mut own = Vec::new();
+            let mut members = Vec::new();
             while let Some(f) = stack.pop() {
-                own.push(FaceId::new(f));
-                let twins = topology.uv_twin[3 * f..3 * f + 3].iter().filter(|t| **t != NONE).map(|t| t / 3);
-                let start = crowded.partition_point(|p| p[0].index() < f);
-                let others = crowded[start..].iter().take_while(|p| p[0].index() == f).map(|p| p[1].0);
-                for g in twins.chain(others).map(|g| g as usize) {
+                let own = FaceId::new(f);
+                members.push(own);
+                let twins = (0..3).filter_map(|k| topology.uv_twin(HalfEdge::of(own, k))).map(HalfEdge::face);
+                let start = incident.partition_point(|p| p[0] < own);
+                let others = incident[start..].iter().take_while(|p| p[0] == own).map(|p| p[1]);
+                for g in twins.chain(others).map(FaceId::index) {
                     if of_face[g].0 == u32::MAX {
                         of_face[g] = chart;
                         stack.push(g);
                     }
                 }
             }
-            own.sort_unstable();
-            faces.push(own);
+            members.sort_unstable();
+            faces.push(members);
         }
         Charts { of_face, faces }
     }
@@ -76,21 +76,21 @@ impl Loops {
     /// Walks every border edge once, turning about each border vertex over the faces of its fan,
     /// so that a chart that touches itself at a vertex gives separate loops.
     pub fn new(topology: &Topology, charts: &Charts) -> Self {
-        let mut seen = vec![false; topology.uv_twin.len()];
+        let mut seen = vec![false; topology.len()];
         let mut chart = Vec::new();
         let mut half_edges = Vec::new();
-        for start in 0..topology.uv_twin.len() as u32 {
-            if topology.uv_twin[start as usize] != NONE || seen[start as usize] {
+        for start in topology.half_edges() {
+            if !topology.is_border(start) || seen[start.index()] {
                 continue;
             }
             let mut cycle = Vec::new();
             let mut h = start;
-            while !seen[h as usize] {
-                seen[h as usize] = true;
+            while !seen[h.index()] {
+                seen[h.index()] = true;
                 cycle.push(h);
-                h = next_border(topology, h);
+                h = topology.next_on_boundary(h);
             }
-            chart.push(charts.of_face[(start / 3) as usize]);
+            chart.push(charts.of_face[start.face().index()]);
             half_edges.push(cycle);
         }
         Loops { chart, half_edges }
@@ -98,26 +98,8 @@ impl Loops {
 
     /// The UV vertices of a loop, in order.
     pub fn uv_vertices<'a>(&'a self, atlas: &'a Atlas, index: usize) -> impl Iterator<Item = UvId> + 'a {
-        self.half_edges[index].iter().map(|&h| atlas.corners[(h / 3) as usize][(h % 3) as usize])
+        self.half_edges[index].iter().map(|h| atlas.corners[h.face().index()][h.corner()])
     }
-}
-
-/// The border half edge that follows `h` about the end vertex of `h`.
-fn next_border(topology: &Topology, h: HalfEdge) -> HalfEdge {
-    let mut current = next_in_face(h);
-    // A fan has at most as many faces as there are half edges; inconsistent winding cannot trap us.
-    for _ in 0..topology.uv_twin.len() {
-        let twin = topology.uv_twin[current as usize];
-        if twin == NONE {
-            return current;
-        }
-        current = next_in_face(twin);
-    }
-    current
-}
-
-fn next_in_face(h: HalfEdge) -> HalfEdge {
-    h / 3 * 3 + (h + 1) % 3
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::bvh::{Bounds, Bvh};
-use super::overlap::Bodies;
+use super::overlap::ChartBvhs;
 use super::{Atlas, ChartId, Charts};
 
 /// What happens to charts that share texels in the input.
@@ -52,7 +52,7 @@ pub fn clusters(atlas: &Atlas, charts: &Charts, mode: OverlapMode) -> Clusters {
     match mode {
         OverlapMode::Separate => Clusters::from_labels(&alone),
         OverlapMode::Stack => {
-            let bodies = Bodies::new(atlas, charts);
+            let bodies = ChartBvhs::new(atlas, charts);
             let boxes: Vec<Bounds> = bodies.place.iter().map(|p| p.1).collect();
             Clusters::from_labels(&components(&boxes, |a, b| bodies.overlap(a, b)))
         }

@@ -1,10 +1,8 @@
-//! Edits that keep provenance: moving charts, setting them apart, and giving each its own UV vertices.
-
-use std::collections::BTreeMap;
+//! What is done to an Atlas as a whole: moving charts, setting them apart, taking a part out and putting several together.
 
 use glam::{DMat2, DVec2};
 
-use super::{Atlas, Charts, Topology, UvId};
+use super::{Atlas, Charts, FaceId, Provenance, Topology, UvId, VertexId};
 
 /// Where a chart goes: `uv' = linear * uv + translate` on sheet `page`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,23 +40,56 @@ impl Atlas {
         next
     }
 
-    /// UV vertices at which two charts touch become one for each.
-    pub(crate) fn separate_uvs(&mut self, charts: &Charts) {
-        let mut first = vec![u32::MAX; self.uv.len()];
-        let mut copies: BTreeMap<(UvId, u32), UvId> = BTreeMap::new();
-        for (corners, chart) in self.corners.iter_mut().zip(&charts.of_face) {
-            for corner in corners.iter_mut() {
-                let home = &mut first[corner.index()];
-                if *home == u32::MAX {
-                    *home = chart.0;
-                } else if *home != chart.0 {
-                    *corner = *copies.entry((*corner, chart.0)).or_insert_with(|| {
-                        self.uv.push(self.uv[corner.index()]);
-                        UvId::new(self.uv.len() - 1)
-                    });
-                }
-            }
+    /// Drops UV vertices that no face uses; the others keep their order.
+    pub(crate) fn drop_unused_uvs(&mut self) {
+        let mut used = vec![false; self.uv.len()];
+        self.corners.iter().flatten().for_each(|c| used[c.index()] = true);
+        if used.iter().all(|u| *u) {
+            return;
         }
+        let mut name = Vec::with_capacity(used.len());
+        let mut uv = Vec::new();
+        for (used, at) in used.iter().zip(&self.uv) {
+            name.push(UvId::new(uv.len()));
+            uv.extend(used.then_some(*at));
+        }
+        self.corners.iter_mut().flatten().for_each(|c| *c = name[c.index()]);
+        self.uv = uv;
+    }
+
+    /// Some of the faces, in the order given, as an Atlas of their own. Vertices keep their order; provenance still names the whole's
+    /// sources.
+    pub(crate) fn subset(&self, faces: &[FaceId]) -> Atlas {
+        let mut part = Atlas { sheets: self.sheets.clone(), ..Atlas::default() };
+        let uvs = sorted_ids(faces.iter().flat_map(|f| self.corners[f.index()]));
+        let vertices = sorted_ids(faces.iter().flat_map(|f| self.surface.triangles[f.index()]));
+        part.uv = uvs.iter().map(|u| self.uv[u.index()]).collect();
+        part.surface.positions = vertices.iter().map(|v| self.surface.positions[v.index()]).collect();
+        for f in faces {
+            let place = |u: UvId| UvId::new(uvs.partition_point(|x| *x < u));
+            part.corners.push(self.corners[f.index()].map(place));
+            let place = |v: VertexId| VertexId::new(vertices.partition_point(|x| *x < v));
+            part.surface.triangles.push(self.surface.triangles[f.index()].map(place));
+            part.provenance.push(self.provenance[f.index()]);
+            part.page.push(self.page[f.index()]);
+        }
+        part
+    }
+
+    /// Adds all faces of another Atlas behind the own ones, its UVs moved by `shift`; no vertex becomes one with another. Provenance counts
+    /// `first_source` and `first_primitive` on. Sheets stay the own ones.
+    pub(crate) fn append(&mut self, other: &Atlas, shift: DVec2, first_source: usize, first_primitive: usize) {
+        let (vertex, uv) = (self.surface.positions.len() as u32, self.uv.len() as u32);
+        self.surface.positions.extend(&other.surface.positions);
+        self.surface.triangles.extend(other.surface.triangles.iter().map(|t| t.map(|v| VertexId(v.0 + vertex))));
+        self.uv.extend(other.uv.iter().map(|p| *p + shift));
+        self.corners.extend(other.corners.iter().map(|t| t.map(|c| UvId(c.0 + uv))));
+        self.provenance.extend(other.provenance.iter().map(|p| Provenance {
+            source: FaceId::new(p.source.index() + first_source),
+            primitive: p.primitive + first_primitive as u32,
+            ..*p
+        }));
+        self.page.extend(&other.page);
     }
 
     /// Moves the charts that hold a face of `moved` to places of their own beside the layout, by whole multiples of `step` texels: where they
@@ -88,4 +119,11 @@ impl Atlas {
             .collect();
         self.moved(&charts, &moves, self.sheets.clone())
     }
+}
+
+fn sorted_ids<T: Ord>(ids: impl Iterator<Item = T>) -> Vec<T> {
+    let mut ids: Vec<T> = ids.collect();
+    ids.sort_unstable();
+    ids.dedup();
+    ids
 }

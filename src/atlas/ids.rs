@@ -35,3 +35,48 @@ id! {
     /// A chart: a connected component of faces over UV edges.
     ChartId
 }
+
+id! {
+    /// An edge of a face, from one of its corners to the next: three of each face, numbered `3 * face + corner`.
+    HalfEdge
+}
+
+impl HalfEdge {
+    /// No half edge: nothing lies across.
+    pub const NONE: HalfEdge = HalfEdge(u32::MAX);
+
+    /// The half edge that leaves corner `corner` (0..3) of a face.
+    pub fn of(face: FaceId, corner: usize) -> Self {
+        HalfEdge(3 * face.0 + corner as u32)
+    }
+
+    /// Its face.
+    pub fn face(self) -> FaceId {
+        FaceId(self.0 / 3)
+    }
+
+    /// The corner of its face at which it starts, 0..3.
+    pub fn corner(self) -> usize {
+        self.0 as usize % 3
+    }
+
+    /// The corner of its face at which it ends, 0..3.
+    pub fn end_corner(self) -> usize {
+        (self.0 as usize + 1) % 3
+    }
+
+    /// The next one about its face.
+    pub fn next(self) -> Self {
+        HalfEdge(self.0 - self.0 % 3 + (self.0 + 1) % 3)
+    }
+
+    /// The one before it about its face.
+    pub fn previous(self) -> Self {
+        HalfEdge(self.0 - self.0 % 3 + (self.0 + 2) % 3)
+    }
+
+    /// Itself, or `None` for [`HalfEdge::NONE`].
+    pub fn some(self) -> Option<Self> {
+        (self != Self::NONE).then_some(self)
+    }
+}

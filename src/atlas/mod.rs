@@ -2,24 +2,25 @@
 //!
 //! An [`Atlas`] is a surface (welded 3D triangles), UV vertices in texels of the reference sheet,
 //! the three UV corners of each face, and each face's [`Provenance`]. Charts, seams, loops and
-//! adjacency are derived ([`Topology`], [`Charts`]), never stored beside it.
+//! adjacency are derived ([`Topology`], [`Charts`]), never stored beside it. Whatever cuts, joins or splits works on a [`Mesh`].
 
 mod area;
 pub(crate) mod bvh;
 mod charts;
 mod check;
 mod clusters;
-mod cut;
+pub(crate) mod dynamic_triangles;
 mod edit;
-pub(crate) mod forest;
 mod ids;
+mod line_cutter;
+mod mesh;
 pub(crate) mod overlap;
 pub(crate) mod rigid;
 pub(crate) mod seams;
-mod slice;
 #[cfg(test)]
 pub(crate) mod testing;
 mod topology;
+mod trail;
 
 pub use area::{Coverage, coverage, coverage_of_page, covered_area};
 pub use charts::{Charts, Loops};
@@ -27,10 +28,12 @@ pub use check::{Exactness, Violation, check};
 pub(crate) use clusters::find_root;
 pub use clusters::{Clusters, OverlapMode, clusters};
 pub use edit::Move;
-pub use ids::{ChartId, FaceId, UvId, VertexId};
+pub use ids::{ChartId, FaceId, HalfEdge, UvId, VertexId};
+pub use line_cutter::{LineCutter, Segment};
+pub use mesh::{EdgeSplits, Mark, Mesh};
 pub use overlap::{Overlaps, orientation, overlapping_charts, overlaps, penetration, triangles_overlap};
-pub use slice::{Segment, Slicer};
-pub use topology::{HalfEdge, NONE, Topology};
+pub use topology::Topology;
+pub use trail::{Trail, TrailEnd, TrailPoint, TrailStart};
 
 use glam::{DVec2, DVec3};
 

@@ -181,13 +181,13 @@ pub(crate) fn faces_with_area(atlas: &Atlas, faces: impl Iterator<Item = FaceId>
 }
 
 /// The charts of an Atlas as bodies that can be tested against each other.
-pub(crate) struct Bodies {
+pub(crate) struct ChartBvhs {
     /// By chart: page and bounding box of the faces with an area; empty charts lie on no page.
     pub place: Vec<(u16, Bounds)>,
     trees: Vec<(Bvh, Vec<[DVec2; 3]>)>,
 }
 
-impl Bodies {
+impl ChartBvhs {
     pub(crate) fn new(atlas: &Atlas, charts: &Charts) -> Self {
         let trees: Vec<_> = charts
             .faces
@@ -206,7 +206,7 @@ impl Bodies {
             .zip(&trees)
             .map(|(faces, (tree, _))| (faces.first().map_or(0, |f| atlas.page[f.index()]), tree.bounds()))
             .collect();
-        Bodies { place, trees }
+        ChartBvhs { place, trees }
     }
 
     /// Whether two charts overlap; stops at the first pair of faces.
@@ -241,7 +241,7 @@ impl Bodies {
 
 /// The pairs of charts that overlap, each ascending, sorted. A pair is searched only until its first overlap.
 pub fn overlapping_charts(atlas: &Atlas, charts: &Charts) -> Vec<(ChartId, ChartId)> {
-    let bodies = Bodies::new(atlas, charts);
+    let bodies = ChartBvhs::new(atlas, charts);
     let boxes: Vec<Bounds> = bodies.place.iter().map(|p| p.1).collect();
     let tree = Bvh::new(&boxes);
     let mut pairs: Vec<(ChartId, ChartId)> = (0..charts.len())

@@ -3,8 +3,8 @@
 use glam::DVec2;
 
 use super::rigid::{Rigid, RigidFit, fit_rigid};
-use super::topology::{HalfEdge, NONE};
-use super::{Atlas, ChartId, Charts, Loops, Topology, UvId};
+use super::topology::ends;
+use super::{Atlas, ChartId, Charts, HalfEdge, Loops, Topology, UvId};
 
 /// A stretch of a seam along which one chart's border follows another's (or its own) edge for edge, without a gap.
 #[derive(Debug, Clone)]
@@ -30,34 +30,35 @@ pub(crate) struct RigidSeam {
 /// The UV vertices of a half edge and of its twin on the surface, matched by surface vertex: (own, across) at its start and
 /// at its end.
 pub(crate) fn linked_corners(atlas: &Atlas, h: HalfEdge, twin: HalfEdge) -> [(UvId, UvId); 2] {
-    let corner = |c: (usize, usize)| atlas.corners[c.0][c.1];
-    let ends = |h: HalfEdge| [(h as usize / 3, h as usize % 3), (h as usize / 3, (h as usize + 1) % 3)];
-    let vertex = |c: (usize, usize)| atlas.surface.triangles[c.0][c.1];
-    let (a, mut b) = (ends(h), ends(twin));
-    if vertex(a[0]) != vertex(b[0]) {
-        b.swap(0, 1);
+    let (own, mut across) = (ends(&atlas.corners, h), ends(&atlas.corners, twin));
+    if ends(&atlas.surface.triangles, h)[0] != ends(&atlas.surface.triangles, twin)[0] {
+        across.swap(0, 1);
     }
-    [(corner(a[0]), corner(b[0])), (corner(a[1]), corner(b[1]))]
+    [(own[0], across[0]), (own[1], across[1])]
 }
 
 /// UV length of a half edge.
 pub(crate) fn uv_length(atlas: &Atlas, h: HalfEdge) -> f64 {
-    let (face, k) = (h as usize / 3, h as usize % 3);
-    let at = |k: usize| atlas.uv[atlas.corners[face][k % 3].index()];
-    at(k).distance(at(k + 1))
+    let [a, b] = ends(&atlas.corners, h).map(|u| atlas.uv[u.index()]);
+    a.distance(b)
+}
+
+/// 3D length of a half edge.
+pub(crate) fn length(atlas: &Atlas, h: HalfEdge) -> f64 {
+    let [a, b] = ends(&atlas.surface.triangles, h).map(|v| atlas.surface.positions[v.index()]);
+    a.distance(b)
 }
 
 /// All seams in maximal runs, each once: from the side of the smaller chart index, or of the smaller half edge.
 pub(crate) fn seam_runs(atlas: &Atlas, topology: &Topology, charts: &Charts) -> Vec<SeamRun> {
-    let chart = |h: HalfEdge| charts.of_face[h as usize / 3];
-    let across = |h: HalfEdge| topology.surface_twin[h as usize];
-    let first = |h: HalfEdge| topology.is_seam(h) && (chart(h), h) < (chart(across(h)), across(h));
+    let chart = |h: HalfEdge| charts.of_face[h.face().index()];
+    // Across the seam, for the side from which it is listed.
+    let across = |h: HalfEdge| topology.across_seam(h).filter(|&twin| (chart(h), h) < (chart(twin), twin));
     // Whether `next` goes on where `h` ends, on both sides.
     let follows = |h: HalfEdge, next: HalfEdge| {
-        first(h)
-            && first(next)
-            && chart(across(h)) == chart(across(next))
-            && linked_corners(atlas, h, across(h))[1] == linked_corners(atlas, next, across(next))[0]
+        across(h).zip(across(next)).is_some_and(|(twin, other)| {
+            chart(twin) == chart(other) && linked_corners(atlas, h, twin)[1] == linked_corners(atlas, next, other)[0]
+        })
     };
     let mut runs = Vec::new();
     for cycle in &Loops::new(topology, charts).half_edges {
@@ -69,7 +70,7 @@ pub(crate) fn seam_runs(atlas: &Atlas, topology: &Topology, charts: &Charts) -> 
             if run.last().is_some_and(|&last| !follows(last, h)) {
                 runs.push(std::mem::take(&mut run));
             }
-            if first(h) {
+            if across(h).is_some() {
                 run.push(h);
             }
         }
@@ -77,13 +78,17 @@ pub(crate) fn seam_runs(atlas: &Atlas, topology: &Topology, charts: &Charts) -> 
             runs.push(run);
         }
     }
-    runs.into_iter().map(|edges| SeamRun { charts: [chart(edges[0]), chart(across(edges[0]))], edges }).collect()
+    let of_run = |edges: Vec<HalfEdge>| {
+        let twin = across(*edges.first()?)?;
+        Some(SeamRun { charts: [chart(edges[0]), chart(twin)], edges })
+    };
+    runs.into_iter().filter_map(of_run).collect()
 }
 
 /// The parts of a run whose two sides are rigid motions of each other, to within `tolerance`.
 pub(crate) fn rigid_seams(atlas: &Atlas, topology: &Topology, run: &SeamRun, tolerance: f64) -> Vec<RigidSeam> {
     let ends = |h: HalfEdge| {
-        linked_corners(atlas, h, topology.surface_twin[h as usize])
+        linked_corners(atlas, h, topology.surface_twin(h).unwrap_or(h))
             .map(|(own, across)| (atlas.uv[across.index()], atlas.uv[own.index()]))
     };
     let mut found = Vec::new();
@@ -135,12 +140,7 @@ pub(crate) fn weld_tolerance(atlas: &Atlas) -> f64 {
     1e-6 * f64::from(side)
 }
 
-/// Whether nothing lies across the half edge in its chart.
-pub(crate) fn is_border(topology: &Topology, h: HalfEdge) -> bool {
-    topology.uv_twin[h as usize] == NONE
-}
-
 /// UV length of all borders: a seam counts once for each side.
 pub(crate) fn border_length(atlas: &Atlas, topology: &Topology) -> f64 {
-    (0..topology.uv_twin.len() as u32).filter(|&h| is_border(topology, h)).map(|h| uv_length(atlas, h)).sum()
+    topology.half_edges().filter(|&h| topology.is_border(h)).map(|h| uv_length(atlas, h)).sum()
 }

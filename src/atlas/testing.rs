@@ -2,8 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
-use super::FaceId;
-use super::{Atlas, Provenance, Surface, UvId, VertexId};
+use super::{Atlas, FaceId, HalfEdge, Mesh, Provenance, Surface, UvId, VertexId};
 
 /// A small random generator (splitmix64), so that tests need no crate and repeat.
 pub(crate) struct Rng(pub u64);
@@ -69,12 +68,20 @@ pub(crate) fn atlas(uv: Vec<DVec2>, corners: Vec<[UvId; 3]>) -> Atlas {
 /// Both Atlases side by side in one; the second keeps its own vertices.
 pub(crate) fn join(a: &Atlas, b: &Atlas) -> Atlas {
     let mut both = a.clone();
-    let (uvs, vertices, faces) = (a.uv.len() as u32, a.surface.positions.len() as u32, a.face_count() as u32);
-    both.uv.extend(&b.uv);
-    both.surface.positions.extend(&b.surface.positions);
-    both.corners.extend(b.corners.iter().map(|c| c.map(|u| UvId(u.0 + uvs))));
-    both.surface.triangles.extend(b.surface.triangles.iter().map(|t| t.map(|v| VertexId(v.0 + vertices))));
-    both.provenance.extend(b.provenance.iter().map(|p| Provenance { source: FaceId(p.source.0 + faces), ..*p }));
-    both.page.extend(&b.page);
+    both.append(b, DVec2::ZERO, a.face_count(), 0);
     both
+}
+
+/// The Atlas cut open along UV edges.
+pub(crate) fn cut_open(atlas: &Atlas, edges: &[HalfEdge]) -> Atlas {
+    let mut mesh = Mesh::new(atlas.clone());
+    mesh.cut(edges);
+    mesh.into_atlas()
+}
+
+/// The half edges of an Atlas for whose two UV points `holds` says so.
+pub(crate) fn half_edges_where(atlas: &Atlas, holds: impl Fn(DVec2, DVec2) -> bool) -> Vec<HalfEdge> {
+    let ends = |h: HalfEdge| [h.corner(), h.end_corner()].map(|k| atlas.uv_triangle(h.face())[k]);
+    let all = (0..3 * atlas.face_count()).map(HalfEdge::new);
+    all.filter(|h| holds(ends(*h)[0], ends(*h)[1])).collect()
 }

@@ -4,26 +4,14 @@ use glam::DVec2;
 
 use super::measures::Totals;
 use crate::atlas::bvh::Bounds;
+use crate::atlas::seams::{length, uv_length};
 use crate::atlas::{Atlas, Topology};
 
-/// The half edge's ends, as places in its face's corners.
-fn ends(h: usize) -> (usize, usize, usize) {
-    (h / 3, h % 3, (h + 1) % 3)
-}
-
 pub(super) fn add(totals: &mut Totals, atlas: &Atlas, topology: &Topology, input: &Atlas) {
-    for h in 0..topology.uv_twin.len() {
-        if topology.uv_twin[h] != u32::MAX {
-            continue;
-        }
-        let (f, i, j) = ends(h);
-        let corners = atlas.corners[f];
-        totals.uv_border += atlas.uv[corners[i].index()].distance(atlas.uv[corners[j].index()]);
-        let across = topology.surface_twin[h];
-        if across != u32::MAX && h < across as usize {
-            let t = atlas.surface.triangles[f];
-            let ends = [t[i], t[j]].map(|v| atlas.surface.positions[v.index()]);
-            totals.seam += ends[0].distance(ends[1]);
+    for h in topology.half_edges().filter(|h| topology.is_border(*h)) {
+        totals.uv_border += uv_length(atlas, h);
+        if topology.across_seam(h).is_some_and(|twin| h < twin) {
+            totals.seam += length(atlas, h);
         }
     }
     totals.uv_area = atlas.faces().map(|f| atlas.uv_area(f).abs()).sum();

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::boundary::page_boxes;
 use super::canvas::Canvas;
-use crate::atlas::{Atlas, Charts, FaceId, Topology};
+use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Topology};
 use crate::texture::linear_to_srgb;
 
 /// Samples per pixel and axis.
@@ -58,12 +58,11 @@ pub fn picture(atlas: &Atlas, page: usize, max_side: u32) -> Vec<u8> {
         for &f in &faces {
             let t = atlas.uv_triangle(f).map(at);
             for k in 0..3 {
-                let twin = topology.uv_twin[3 * f.index() + k];
-                let is_border = twin == u32::MAX;
-                if is_border && border {
-                    canvas.line(t[k], t[(k + 1) % 3], SAMPLES, BORDER_INK);
-                } else if !is_border && !border && faint > 0 && twin as usize > 3 * f.index() + k {
-                    canvas.line(t[k], t[(k + 1) % 3], 1, faint);
+                let h = HalfEdge::of(f, k);
+                match topology.uv_twin(h) {
+                    None if border => canvas.line(t[k], t[(k + 1) % 3], SAMPLES, BORDER_INK),
+                    Some(twin) if !border && faint > 0 && twin > h => canvas.line(t[k], t[(k + 1) % 3], 1, faint),
+                    _ => {}
                 }
             }
         }

@@ -10,7 +10,7 @@ use glam::DVec2;
 
 use super::importance::Importance;
 use crate::asset::{TextureSet, grid};
-use crate::atlas::{Atlas, FaceId, Provenance, Surface, UvId, VertexId};
+use crate::atlas::{Atlas, FaceId, Surface, UvId, VertexId};
 use crate::error::{Failure, Result, Warning};
 use crate::texture::Slot;
 use crate::texture::{Alpha, Format, Header};
@@ -116,48 +116,21 @@ impl Group {
         if !self.is_joined() {
             return Ok(vec![(Cow::Borrowed(atlas), atlas.faces().collect())]);
         }
-        let mut parts: Vec<(Atlas, Vec<FaceId>)> = Vec::new();
-        parts.resize_with(self.members.len(), || {
-            (Atlas { sheets: atlas.sheets.clone(), ..Atlas::default() }, Vec::new())
-        });
-        let foreign = || Failure::internal("a face has no valid provenance");
-        let mut vertices: Vec<Option<VertexId>> = vec![None; atlas.surface.positions.len()];
-        let mut uvs: Vec<Option<UvId>> = vec![None; atlas.uv.len()];
-        for (m, (own, faces)) in parts.iter_mut().enumerate() {
-            let member = &self.members[m];
+        let part = |member: &Member| {
             let end = member.first_primitive + member.set.primitives.len();
-            for face in atlas.faces() {
-                let provenance = atlas.provenance[face.index()];
-                let primitive = provenance.primitive as usize;
-                if !(member.first_primitive..end).contains(&primitive) {
-                    continue;
-                }
-                let source = provenance.source.index().checked_sub(member.first_face).ok_or_else(foreign)?;
-                // Vertices of two members are never one, so that one table serves all.
-                let triangle = atlas.surface.triangles[face.index()].map(|v| {
-                    *vertices[v.index()].get_or_insert_with(|| {
-                        own.surface.positions.push(atlas.surface.positions[v.index()]);
-                        VertexId::new(own.surface.positions.len() - 1)
-                    })
-                });
-                let corners = atlas.corners[face.index()].map(|c| {
-                    *uvs[c.index()].get_or_insert_with(|| {
-                        own.uv.push(atlas.uv[c.index()]);
-                        UvId::new(own.uv.len() - 1)
-                    })
-                });
-                own.surface.triangles.push(triangle);
-                own.corners.push(corners);
-                own.provenance.push(Provenance {
-                    source: FaceId::new(source),
-                    primitive: (primitive - member.first_primitive) as u32,
-                    ..provenance
-                });
-                own.page.push(atlas.page[face.index()]);
-                faces.push(face);
+            let own =
+                |f: &FaceId| (member.first_primitive..end).contains(&(atlas.provenance[f.index()].primitive as usize));
+            let faces: Vec<FaceId> = atlas.faces().filter(own).collect();
+            let mut part = atlas.subset(&faces);
+            for provenance in &mut part.provenance {
+                let source = provenance.source.index().checked_sub(member.first_face);
+                let source = source.ok_or_else(|| Failure::internal("a face has no valid provenance"))?;
+                provenance.source = FaceId::new(source);
+                provenance.primitive -= member.first_primitive as u32;
             }
-        }
-        Ok(parts.into_iter().map(|(own, faces)| (Cow::Owned(own), faces)).collect())
+            Ok((Cow::Owned(part), faces))
+        };
+        self.members.iter().map(part).collect()
     }
 
     /// The group's Atlas again, from those of its members: each with the faces of `after` that its faces are.
@@ -213,18 +186,7 @@ fn join(id: usize, members: &mut [Member]) -> TextureSet {
     let mut primitives = Vec::new();
     let mut names: Vec<&str> = Vec::new();
     for member in members.iter() {
-        let own = &member.set.atlas;
-        let (vertex, uv) = (atlas.surface.positions.len() as u32, atlas.uv.len() as u32);
-        atlas.surface.positions.extend(&own.surface.positions);
-        atlas.surface.triangles.extend(own.surface.triangles.iter().map(|t| t.map(|v| VertexId(v.0 + vertex))));
-        atlas.uv.extend(own.uv.iter().map(|p| *p + member.place));
-        atlas.corners.extend(own.corners.iter().map(|t| t.map(|c| UvId(c.0 + uv))));
-        atlas.provenance.extend(own.provenance.iter().map(|p| Provenance {
-            source: FaceId::new(p.source.index() + member.first_face),
-            primitive: p.primitive + member.first_primitive as u32,
-            ..*p
-        }));
-        atlas.page.extend(&own.page);
+        atlas.append(&member.set.atlas, member.place, member.first_face, member.first_primitive);
         primitives.extend(member.set.primitives.iter().cloned().map(|mut p| {
             p.first_face += member.first_face;
             p

@@ -6,8 +6,9 @@ use serde_json::{Map, Value};
 
 use super::options::{IfLarger, Options};
 use super::stage::{SheetInfo, Staged};
-use crate::atlas::OverlapMode;
-use crate::atlas::{Atlas, ChartId, Charts, Clusters, Move, Topology, clusters, overlapping_charts};
+use crate::atlas::{
+    Atlas, ChartId, Charts, Clusters, HalfEdge, Move, OverlapMode, Topology, clusters, overlapping_charts,
+};
 use crate::context::Context;
 use crate::error::{Code, Result, Warning};
 use crate::packing::{self, Packing, Piece, Placement, Request, Rounding, Spacing, Start};
@@ -76,7 +77,7 @@ fn piece(atlas: &Atlas, topology: &Topology, charts: &Charts, own: &[ChartId]) -
         let triangle = atlas.uv_triangle(*face);
         piece.area += atlas.uv_area(*face).abs();
         for k in 0..3 {
-            if topology.is_border(*face, k) {
+            if topology.is_border(HalfEdge::of(*face, k)) {
                 piece.border.push(triangle[(k + 1) % 3] - triangle[k]);
             }
         }

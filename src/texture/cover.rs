@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::map::Maps;
-use crate::atlas::{Atlas, Topology};
+use crate::atlas::{Atlas, FaceId, HalfEdge, Topology};
 use crate::context::Context;
 use crate::error::Result;
 
@@ -57,10 +57,10 @@ impl Page {
             faces.push((f as u32, rows(low, high, size[1])));
             for k in 0..3 {
                 let ends = [maps.corners[f][k], maps.corners[f][(k + 1) % 3]];
-                let twin = topology.uv_twin.get(3 * f + k).map_or(usize::MAX, |t| *t as usize);
-                let (other, at) = (twin / 3, twin % 3);
-                let inside =
-                    other < atlas.face_count() && here(other) && side(f, k, ends) * side(other, at, ends) < 0.0;
+                let inside = topology.uv_twin(HalfEdge::of(FaceId::new(f), k)).is_some_and(|twin| {
+                    let other = twin.face().index();
+                    here(other) && side(f, k, ends) * side(other, twin.corner(), ends) < 0.0
+                });
                 if !inside {
                     let (low, high) = (ends[0].y.min(ends[1].y), ends[0].y.max(ends[1].y));
                     let rows = rows(low - bleed, high + bleed, size[1]);

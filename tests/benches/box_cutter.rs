@@ -119,7 +119,7 @@ fn along_outlines(files: &[File]) -> f64 {
 
 fn border(atlas: &intarsia::atlas::Atlas) -> f64 {
     let topology = intarsia::atlas::Topology::new(atlas);
-    let open = (0..topology.uv_twin.len()).filter(|h| topology.uv_twin[*h] == intarsia::atlas::NONE);
-    let end = |h: usize, k: usize| atlas.uv[atlas.corners[h / 3][(h % 3 + k) % 3].index()];
-    open.map(|h| end(h, 0).distance(end(h, 1))).sum()
+    let open = topology.half_edges().filter(|h| topology.is_border(*h));
+    let end = |f: intarsia::atlas::FaceId, k: usize| atlas.uv[atlas.corners[f.index()][k].index()];
+    open.map(|h| end(h.face(), h.corner()).distance(end(h.face(), h.end_corner()))).sum()
 }

@@ -2,7 +2,7 @@
 
 use intarsia::asset::{File, Limits, load, read};
 use intarsia::atlas::OverlapMode;
-use intarsia::atlas::{Atlas, Topology};
+use intarsia::atlas::{Atlas, HalfEdge, Topology};
 use intarsia::context::Context;
 use intarsia::packing::Rotation;
 use intarsia::refine::options::{IfLarger, Options, Recipe};
@@ -65,7 +65,10 @@ fn cut_models_are_valid_whole_and_free_of_overlaps() {
         }
         let (before, after) = (atlas(&original), atlas(glb));
         assert!((surface(&before) - surface(&after)).abs() <= 1e-6 * surface(&before), "{name}: the surface changed");
-        let shut = |a: &Atlas| Topology::new(a).surface_twin.iter().filter(|t| **t == intarsia::atlas::NONE).count();
+        let shut = |a: &Atlas| {
+            let topology = Topology::new(a);
+            topology.half_edges().filter(|h| topology.surface_twin(*h).is_none()).count()
+        };
         if along_edges {
             assert_eq!(
                 geometry::corners(glb),
@@ -132,14 +135,15 @@ fn both_sides_of_a_cut_have_one_colour() {
 /// Seams: their ends on the surface, and their ends in UV on either side, in texels.
 fn seams(atlas: &Atlas) -> Vec<([glam::DVec3; 2], [[glam::DVec2; 2]; 2])> {
     let topology = Topology::new(atlas);
-    let ends = |h: u32| [h as usize % 3, (h as usize + 1) % 3].map(|k| (h as usize / 3, k));
-    (0..topology.uv_twin.len() as u32)
-        .filter(|&h| topology.is_seam(h) && h < topology.surface_twin[h as usize])
-        .map(|h| {
+    let ends = |h: HalfEdge| [h.corner(), h.end_corner()].map(|k| (h.face().index(), k));
+    let across = |h: HalfEdge| Some((h, topology.across_seam(h).filter(|twin| h < *twin)?));
+    topology
+        .half_edges()
+        .filter_map(across)
+        .map(|(h, twin)| {
             let place = |(f, k): (usize, usize)| atlas.surface.positions[atlas.surface.triangles[f][k].index()];
             let uv = |(f, k): (usize, usize)| atlas.uv[atlas.corners[f][k].index()];
-            let other = ends(topology.surface_twin[h as usize]);
-            (ends(h).map(place), [ends(h).map(uv), other.map(uv)])
+            (ends(h).map(place), [ends(h).map(uv), ends(twin).map(uv)])
         })
         .collect()
 }

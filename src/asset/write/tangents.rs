@@ -15,7 +15,7 @@ use crate::asset::accessor::{read_vec2, read_vec3};
 use crate::asset::json::{array, index};
 use crate::asset::scan::primitive_pointer;
 use crate::asset::{Document, PrimitiveRef};
-use crate::atlas::{Atlas, FaceId, Topology};
+use crate::atlas::{Atlas, FaceId, HalfEdge, Topology};
 use crate::error::Result;
 
 /// A tangent with its handedness, as glTF has it.
@@ -48,10 +48,9 @@ fn is_changed(uploaded: &Atlas, atlas: &Atlas, before: &Topology, after: &Topolo
     !provenance.is_whole()
         || turned().is_some_and(|t| !t.is_none())
         || (0..3).any(|k| {
-            let old = before.uv_twin.get(3 * provenance.source.index() + k).copied();
-            let source = |h: u32| atlas.provenance.get((h / 3) as usize).map(|p| p.source.0);
-            let new = after.uv_twin.get(3 * face.index() + k).and_then(|h| source(*h));
-            old.filter(|h| *h != crate::atlas::NONE).map(|h| h / 3) != new
+            let old = before.uv_twin(HalfEdge::of(provenance.source, k)).map(HalfEdge::face);
+            let new = after.uv_twin(HalfEdge::of(face, k)).map(|h| atlas.provenance[h.face().index()].source);
+            old != new
         })
 }
 

@@ -7,17 +7,13 @@ use std::sync::Arc;
 use glam::DVec2;
 
 use super::outline::{Chord, Line, Outline, signed_area};
-use crate::atlas::{Atlas, FaceId, HalfEdge, NONE, Topology, UvId};
+use crate::atlas::{FaceId, HalfEdge, Mesh, UvId};
 
-/// What cutting along edges needs to know of the mesh.
-pub(crate) struct Mesh<'a> {
-    atlas: &'a Atlas,
-    topology: &'a Topology,
+/// Finds cuts along the edges of a mesh.
+pub(crate) struct EdgeCutter<'a> {
+    mesh: &'a Mesh,
     /// Importance at the corners of each face.
     weights: Option<&'a [[f64; 3]]>,
-    /// Corners (3 * face + k) by UV vertex: those of vertex u are `corners[start[u]..start[u + 1]]`.
-    start: Vec<u32>,
-    corners: Vec<u32>,
 }
 
 /// The triangles of a panel, and the edges inside it that are cut already.
@@ -44,52 +40,33 @@ pub(crate) struct Parts {
 /// A path longer than the chord by more than this factor is no cut along the line any more.
 const DETOUR: f64 = 2.5;
 
-impl<'a> Mesh<'a> {
-    /// Prepares an Atlas.
-    pub fn new(atlas: &'a Atlas, topology: &'a Topology, weights: Option<&'a [[f64; 3]]>) -> Self {
-        let mut start = vec![0u32; atlas.uv.len() + 1];
-        for u in atlas.corners.iter().flatten() {
-            start[u.index() + 1] += 1;
-        }
-        for i in 1..start.len() {
-            start[i] += start[i - 1];
-        }
-        let mut fill = start.clone();
-        let mut corners = vec![0; 3 * atlas.face_count()];
-        for (c, u) in atlas.corners.iter().flatten().enumerate() {
-            corners[fill[u.index()] as usize] = c as u32;
-            fill[u.index()] += 1;
-        }
-        Mesh { atlas, topology, weights, start, corners }
-    }
-
-    fn ends(&self, h: HalfEdge) -> [UvId; 2] {
-        let c = self.atlas.corners[h as usize / 3];
-        [c[h as usize % 3], c[(h as usize + 1) % 3]]
+impl<'a> EdgeCutter<'a> {
+    /// Over a mesh whose edges have lengths in texels.
+    pub fn new(mesh: &'a Mesh, weights: Option<&'a [[f64; 3]]>) -> Self {
+        EdgeCutter { mesh, weights }
     }
 
     fn at(&self, u: UvId) -> DVec2 {
-        self.atlas.uv[u.index()]
+        self.mesh.position(u)
     }
 
     /// Length of an edge times the mean importance of its ends (section 3.2.2).
     fn weighted(&self, h: HalfEdge) -> f64 {
-        let [a, b] = self.ends(h);
+        let [a, b] = self.mesh.uv_ends(h);
         let length = self.at(a).distance(self.at(b));
-        let (f, k) = (h as usize / 3, h as usize % 3);
-        self.weights.map_or(length, |w| length * (w[f][k] + w[f][(k + 1) % 3]) * 0.5)
+        self.weights
+            .map_or(length, |w| length * (w[h.face().index()][h.corner()] + w[h.face().index()][h.end_corner()]) * 0.5)
     }
 
     /// The half edge across an edge that is interior to the patch.
     fn across(&self, patch: &Patch, h: HalfEdge) -> Option<HalfEdge> {
-        let twin = self.topology.uv_twin[h as usize];
-        let inside = twin != NONE && !patch.slits.contains(&h) && patch.faces.binary_search(&FaceId(twin / 3)).is_ok();
-        inside.then_some(twin)
+        let twin = self.mesh.topology().uv_twin(h)?;
+        (!patch.slits.contains(&h) && patch.faces.binary_search(&twin.face()).is_ok()).then_some(twin)
     }
 
     /// Cuts the patch along paths that follow the chords; `None` when no path was found or a part is smaller than `least` across the line.
     pub fn cut(&self, outline: &Outline, patch: &Patch, line: &Line, chords: &[Chord], least: f64) -> Option<Parts> {
-        let rim = self.rim(patch);
+        let boundary = self.boundary_vertices(patch);
         let mut cuts: Vec<HalfEdge> = Vec::new();
         for chord in chords {
             // Of the two edges that the chord ends at, the nearer vertex first.
@@ -99,7 +76,7 @@ impl<'a> Mesh<'a> {
                 if a.distance(p) <= b.distance(p) { [a, b] } else { [b, a] }
             };
             let ends = [nearer(0, chord.from), nearer(1, chord.to)];
-            let vertex = |p: DVec2| rim.iter().find(|u| self.at(**u) == p).copied();
+            let vertex = |p: DVec2| boundary.iter().find(|u| self.at(**u) == p).copied();
             let tries = [(0, 0), (1, 0), (0, 1), (1, 1)];
             let path = tries.iter().find_map(|&(i, j)| {
                 let (from, to) = (vertex(ends[0][i])?, vertex(ends[1][j])?);
@@ -110,32 +87,33 @@ impl<'a> Mesh<'a> {
         let mut slits = (*patch.slits).clone();
         for &h in &cuts {
             slits.insert(h);
-            slits.insert(self.topology.uv_twin[h as usize]);
+            slits.extend(self.mesh.topology().uv_twin(h));
         }
         let parts = self.parts(patch, slits);
         let extent = |o: &Outline| o.loops.iter().flatten().map(|v| line.side(*v).abs()).fold(0.0, f64::max);
         if parts.len() > 1 && parts.iter().any(|(o, _)| extent(o) < least) {
             return None;
         }
-        let length = cuts.iter().map(|&h| self.at(self.ends(h)[0]).distance(self.at(self.ends(h)[1]))).sum();
+        let length =
+            cuts.iter().map(|&h| self.at(self.mesh.uv_ends(h)[0]).distance(self.at(self.mesh.uv_ends(h)[1]))).sum();
         let weighted = cuts.iter().map(|&h| self.weighted(h)).sum();
         Some(Parts { parts, cuts, length, weighted })
     }
 
     /// UV vertices on the patch's border, ascending.
-    fn rim(&self, patch: &Patch) -> Vec<UvId> {
-        let edges = patch.faces.iter().flat_map(|f| (0..3).map(|k| 3 * f.0 + k));
-        let mut rim: Vec<UvId> =
-            edges.filter(|&h| self.across(patch, h).is_none()).flat_map(|h| self.ends(h)).collect();
-        rim.sort_unstable();
-        rim.dedup();
-        rim
+    fn boundary_vertices(&self, patch: &Patch) -> Vec<UvId> {
+        let edges = patch.faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k)));
+        let mut boundary: Vec<UvId> =
+            edges.filter(|&h| self.across(patch, h).is_none()).flat_map(|h| self.mesh.uv_ends(h)).collect();
+        boundary.sort_unstable();
+        boundary.dedup();
+        boundary
     }
 
     /// The shortest path over interior edges (A*), at most `limit` long, as half edges.
     fn path(&self, patch: &Patch, from: UvId, to: UvId, limit: f64) -> Option<Vec<HalfEdge>> {
         // Lengths are compared as bits: they are not negative.
-        let mut best: BTreeMap<UvId, (f64, HalfEdge)> = BTreeMap::from([(from, (0.0, NONE))]);
+        let mut best: BTreeMap<UvId, (f64, HalfEdge)> = BTreeMap::from([(from, (0.0, HalfEdge::NONE))]);
         let mut open = BinaryHeap::from([Reverse((0u64, from))]);
         let mut done: BTreeSet<UvId> = BTreeSet::new();
         let goal = self.at(to);
@@ -147,13 +125,13 @@ impl<'a> Mesh<'a> {
                 break;
             }
             let so_far = best[&u].0;
-            for &c in &self.corners[self.start[u.index()] as usize..self.start[u.index() + 1] as usize] {
-                if patch.faces.binary_search(&FaceId(c / 3)).is_err() {
+            for corner in self.mesh.corners_of(u) {
+                if patch.faces.binary_search(&corner.face()).is_err() {
                     continue;
                 }
                 // The edge that leaves this corner and the one that arrives.
-                for h in [c, c / 3 * 3 + (c + 2) % 3] {
-                    let [a, b] = self.ends(h);
+                for h in [corner, corner.previous()] {
+                    let [a, b] = self.mesh.uv_ends(h);
                     let v = if a == u { b } else { a };
                     if v == u || done.contains(&v) || self.across(patch, h).is_none() {
                         continue;
@@ -175,7 +153,7 @@ impl<'a> Mesh<'a> {
         while at != from {
             let (_, h) = *best.get(&at).filter(|_| done.contains(&to))?;
             path.push(h);
-            let [a, b] = self.ends(h);
+            let [a, b] = self.mesh.uv_ends(h);
             at = if b == at { a } else { b };
         }
         Some(path)
@@ -184,7 +162,7 @@ impl<'a> Mesh<'a> {
     /// The parts of a patch that is cut open along slits.
     pub fn parts(&self, patch: &Patch, slits: BTreeSet<HalfEdge>) -> Vec<(Outline, Patch)> {
         let whole = Patch { faces: patch.faces.clone(), slits: Arc::new(slits) };
-        let index = |f: u32| whole.faces.binary_search(&FaceId(f)).ok();
+        let index = |f: FaceId| whole.faces.binary_search(&f).ok();
         let mut label = vec![u32::MAX; whole.faces.len()];
         let mut lots: Vec<Vec<FaceId>> = Vec::new();
         for seed in 0..label.len() {
@@ -197,7 +175,8 @@ impl<'a> Mesh<'a> {
             while let Some(i) = stack.pop() {
                 own.push(whole.faces[i]);
                 for k in 0..3 {
-                    let Some(j) = self.across(&whole, 3 * whole.faces[i].0 + k).and_then(|t| index(t / 3)) else {
+                    let Some(j) = self.across(&whole, HalfEdge::of(whole.faces[i], k)).and_then(|t| index(t.face()))
+                    else {
                         continue;
                     };
                     if label[j] == u32::MAX {
@@ -211,7 +190,7 @@ impl<'a> Mesh<'a> {
         }
         lots.into_iter()
             .map(|faces| {
-                let own = |h: &HalfEdge| faces.binary_search(&FaceId(h / 3)).is_ok();
+                let own = |h: &HalfEdge| faces.binary_search(&h.face()).is_ok();
                 let slits = whole.slits.iter().copied().filter(own).collect();
                 let patch = Patch { faces: Arc::new(faces), slits: Arc::new(slits) };
                 (self.outline(&patch), patch)
@@ -223,16 +202,16 @@ impl<'a> Mesh<'a> {
     fn outline(&self, patch: &Patch) -> Outline {
         let mut seen = BTreeSet::new();
         let mut loops = Vec::new();
-        for start in patch.faces.iter().flat_map(|f| (0..3).map(|k| 3 * f.0 + k)) {
+        for start in patch.faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k))) {
             let mut own = Vec::new();
             let mut h = start;
             while self.across(patch, h).is_none() && seen.insert(h) {
-                own.push(self.at(self.ends(h)[0]));
-                h = h / 3 * 3 + (h + 1) % 3;
+                own.push(self.at(self.mesh.uv_ends(h)[0]));
+                h = h.next();
                 // Around the end vertex to the next border edge; a fan has no more faces than the patch.
                 for _ in 0..3 * patch.faces.len() {
                     let Some(twin) = self.across(patch, h) else { break };
-                    h = twin / 3 * 3 + (twin + 1) % 3;
+                    h = twin.next();
                 }
             }
             if own.len() > 1 {

@@ -25,16 +25,17 @@ use glam::DVec2;
 use serde_json::{Map, Value, json};
 
 use self::arrange::Sheet;
-use self::candidates::Choice;
+use self::candidates::CandidateParams;
+use self::edges::EdgeCutter;
 use self::field::Field;
 use self::panel::Raster;
 use self::params::{BoxCutter, Cuts, Search};
-use self::search::{Found, Ground, Limits, State, search};
+use self::search::{Limits, SearchContext, SearchResult, SearchState, search};
 use super::options::Options;
 use super::pack::{keeps_input, lay_out};
 use super::stage::{SheetInfo, Staged};
 use crate::atlas::OverlapMode;
-use crate::atlas::{Atlas, ChartId, Charts, HalfEdge, Topology, clusters};
+use crate::atlas::{Atlas, ChartId, Charts, HalfEdge, Mesh, Topology, clusters};
 use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
 use crate::packing::Pitch;
@@ -71,20 +72,20 @@ pub(crate) fn box_cutter(
     let mut figures = Map::new();
     let clean = without_overlaps(atlas, sheet_info, weights, params, options, &mut figures, context)?;
 
-    let topology = Topology::new(&clean);
-    let charts = Charts::new(&topology);
-    let together = clusters(&clean, &charts, options.atlas.overlaps);
+    let mesh = Mesh::new(clean);
+    let charts = Charts::new(mesh.topology());
+    let together = clusters(mesh.atlas(), &charts, options.atlas.overlaps);
     let along_edges = params.cuts == Cuts::Edges || params.cuts == Cuts::Auto && sheet_info.animated;
-    let panels = start::panels(&clean, &topology, &charts, &together, along_edges, options.pack.rotation);
+    let panels = start::panels(mesh.atlas(), mesh.topology(), &charts, &together, along_edges, options.pack.rotation);
     let held: f64 = panels.iter().filter(|p| !p.cuttable()).map(|p| p.area).fold(0.0, |a, b| a + b);
     let total: f64 = panels.iter().map(|p| p.area).sum();
     let length: f64 = panels.iter().map(|p| p.length).sum();
     let sheet = sheet(&panels, sheet_info, options);
     let (arrangement, _) = sheet.arrange(&panels, None);
     let Some(arrangement) = arrangement else { return Err(Failure::internal("no strip holds the panels")) };
-    let ground = Ground {
+    let search_context = SearchContext {
         sheet,
-        choice: Choice {
+        candidates: CandidateParams {
             boxes: params.void_boxes as usize,
             shared: params.void_overlap,
             shift: params.line_shift,
@@ -92,8 +93,10 @@ pub(crate) fn box_cutter(
             random: params.search == Search::Random,
             many: params.search == Search::Beam,
         },
-        field: weights.filter(|_| !along_edges).map(|_| Field::new(&clean, &charts, &corner_weights(&clean, weights))),
-        mesh: along_edges.then(|| start::mesh(&clean, &topology, weights)),
+        field: weights
+            .filter(|_| !along_edges)
+            .map(|_| Field::new(mesh.atlas(), &charts, &corner_weights(mesh.atlas(), weights))),
+        edges: along_edges.then(|| EdgeCutter::new(&mesh, weights)),
         unit,
         weighted: weights.is_some(),
     };
@@ -111,11 +114,9 @@ pub(crate) fn box_cutter(
         beam: if params.search == Search::Beam { params.beam as usize } else { 1 },
         rounds: params.search == Search::Beam,
     };
-    let start = State { panels, arrangement, length, weighted: length, cuts: Vec::new() };
-    let found = search(start, &ground, &limits, context)?;
-    let ready = Clean { atlas: &clean, topology: &topology, charts: &charts };
-
-    let (state, laid, work) = finish(&ready, &found, &ground, &limits, sheet_info, options, context)?;
+    let start = SearchState { panels, arrangement, length, weighted: length, cuts: Vec::new() };
+    let found = search(start, &search_context, &limits, context)?;
+    let (state, laid, work) = finish(&mesh, &charts, &found, &search_context, &limits, sheet_info, options, context)?;
     figures.extend([
         ("work".to_owned(), json!(found.work + work)),
         ("candidates".to_owned(), json!(found.tried)),
@@ -141,13 +142,6 @@ pub(crate) fn box_cutter(
     Ok(staged)
 }
 
-/// An Atlas that is free of overlaps, with what was derived from it.
-struct Clean<'a> {
-    atlas: &'a Atlas,
-    topology: &'a Topology,
-    charts: &'a Charts,
-}
-
 /// Overlap removal and welding (section 4). What it changed lies apart from the rest afterwards.
 fn without_overlaps(
     atlas: &Atlas,
@@ -171,8 +165,8 @@ fn without_overlaps(
         context.step(0.02, "removing overlaps")?;
         let edge_weight = weights.map(|w| {
             move |h: HalfEdge| {
-                let (f, k) = (h as usize / 3, h as usize % 3);
-                (w[f][k] + w[f][(k + 1) % 3]) * 0.5
+                let own = w[h.face().index()];
+                (own[h.corner()] + own[h.end_corner()]) * 0.5
             }
         });
         let weight = edge_weight.as_ref().map(|w| w as &(dyn Fn(HalfEdge) -> f64 + Sync));
@@ -217,31 +211,32 @@ fn without_overlaps(
 
 /// Makes the cuts of the best few states, packs each, and gives the best packing.
 fn finish(
-    clean: &Clean<'_>,
-    found: &Found,
-    ground: &Ground<'_>,
+    mesh: &Mesh,
+    charts: &Charts,
+    found: &SearchResult,
+    search_context: &SearchContext<'_>,
     limits: &Limits,
     sheet_info: &SheetInfo,
     options: &Options,
     context: &Context,
-) -> Result<(State, Atlas, u64)> {
+) -> Result<(SearchState, Atlas, u64)> {
     let finals = &found.states[..found.states.len().min(FINALS)];
     // The layouts that the search ended with are improved, all a little, the best more.
     let pack = Pack { search: PackSearch::Thorough, ..options.pack.clone() };
     let own = Options { pack, work_budget: None, ..options.clone() };
-    let mut best: Option<(f64, &State, Atlas)> = None;
+    let mut best: Option<(f64, &SearchState, Atlas)> = None;
     let mut work = 0;
     for (n, state) in finals.iter().enumerate() {
         context.step(0.7 + 0.3 * n as f64 / finals.len() as f64, "packing the best")?;
-        let (cut, origin) = start::apply(clean.atlas, clean.topology, clean.charts, &state.cuts, ground.unit);
-        let layout = start::layout(&cut, &origin, options.atlas.overlaps, state, &ground.sheet.raster);
+        let (cut, origin) = start::apply(mesh, charts, &state.cuts, search_context.unit);
+        let layout = start::layout(&cut, &origin, options.atlas.overlaps, state, &search_context.sheet.raster);
         let effort = if options.pack.search == PackSearch::Thorough { 1.0 / FINALS as f64 } else { EFFORT };
         // A small budget of work is small for all that is done.
         let effort = effort * (limits.work as f64 / USUAL_WORK).min(1.0);
         let (laid, own) = lay_out(&cut, sheet_info, &own, layout.as_slice(), &[], effort, context)?;
         work += own;
         // What packing made of it, weighed as in the search.
-        let worth = state.worth(ground, limits) / state.arrangement.efficiency.max(1e-300) * efficiency(&laid);
+        let worth = state.worth(search_context, limits) / state.arrangement.efficiency.max(1e-300) * efficiency(&laid);
         if best.as_ref().is_none_or(|(most, ..)| worth > *most) {
             best = Some((worth, state, laid));
         }

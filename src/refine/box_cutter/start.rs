@@ -6,12 +6,14 @@ use std::sync::Arc;
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::edges::{Mesh, Patch};
+use super::edges::Patch;
 use super::outline::Outline;
 use super::panel::{Panel, Raster};
-use super::search::{Cut, State};
-use crate::atlas::OverlapMode;
-use crate::atlas::{Atlas, ChartId, Charts, Clusters, FaceId, Loops, Segment, Slicer, Topology, clusters, overlaps};
+use super::search::{Cut, SearchState};
+use crate::atlas::{
+    Atlas, ChartId, Charts, Clusters, FaceId, LineCutter, Loops, Mesh, OverlapMode, Segment, Topology, clusters,
+    overlaps,
+};
 use crate::packing::Rotation;
 use crate::packing::Start as Layout;
 
@@ -35,7 +37,7 @@ pub(crate) fn panels(
     for i in 0..loops.chart.len() {
         borders[loops.chart[i].index()].push(loops.uv_vertices(atlas, i).map(|u| atlas.uv[u.index()]).collect());
     }
-    let mut broken: BTreeSet<ChartId> = topology.crowded.iter().map(|p| charts.of_face[p[0].index()]).collect();
+    let mut broken: BTreeSet<ChartId> = topology.incident_faces().map(|p| charts.of_face[p[0].index()]).collect();
     broken.extend(overlaps(atlas, charts, PAIRS).intra.iter().map(|p| charts.of_face[p.0.index()]));
     together
         .charts
@@ -63,23 +65,12 @@ pub(crate) fn panels(
         .collect()
 }
 
-/// What cutting along edges needs, with the importance of each face's corners.
-pub(crate) fn mesh<'a>(atlas: &'a Atlas, topology: &'a Topology, weights: Option<&'a [[f64; 3]]>) -> Mesh<'a> {
-    Mesh::new(atlas, topology, weights)
-}
-
 /// Lines pass through a vertex that is nearer than this, relative to the longest side of the layout's box.
 const SNAP: f64 = 1e-5;
 
 /// Makes the cuts of a search; gives the Atlas and the chart that each of its faces comes from. `unit` is the longest side of the
 /// layout's box in texels. The charts keep their coordinates.
-pub(crate) fn apply(
-    atlas: &Atlas,
-    topology: &Topology,
-    charts: &Charts,
-    cuts: &[Arc<Cut>],
-    unit: f64,
-) -> (Atlas, Vec<ChartId>) {
+pub(crate) fn apply(mesh: &Mesh, charts: &Charts, cuts: &[Arc<Cut>], unit: f64) -> (Atlas, Vec<ChartId>) {
     let along: Vec<_> = cuts
         .iter()
         .filter_map(|c| match &**c {
@@ -89,9 +80,11 @@ pub(crate) fn apply(
         .flatten()
         .collect();
     if !along.is_empty() {
-        return (atlas.cut_along(topology, &along), charts.of_face.clone());
+        let mut mesh = mesh.clone();
+        mesh.cut(&along);
+        return (mesh.into_atlas(), charts.of_face.clone());
     }
-    let mut slicer = Slicer::new(atlas.clone(), SNAP * unit);
+    let mut cutter = LineCutter::new(mesh.clone(), SNAP * unit);
     let mut faces: Vec<Vec<FaceId>> = charts.faces.clone();
     let mut of_face: Vec<ChartId> = charts.of_face.clone();
     for cut in cuts {
@@ -99,7 +92,7 @@ pub(crate) fn apply(
         for &(from, to) in chords {
             let mut own = std::mem::take(&mut faces[*chart as usize]);
             let mut others = Vec::new();
-            slicer.slice(&mut own, Segment { from: line.at(from), to: line.at(to) }, &mut others);
+            cutter.cut(&mut own, Segment { from: line.at(from), to: line.at(to) }, &mut others);
             // New faces are numbered as they come, over both lists.
             let mut fresh: Vec<(FaceId, ChartId)> =
                 own.iter().filter(|f| f.index() >= of_face.len()).map(|f| (*f, ChartId(*chart))).collect();
@@ -113,7 +106,7 @@ pub(crate) fn apply(
             of_face.extend(fresh.iter().map(|f| f.1));
         }
     }
-    (slicer.finish(), of_face)
+    (cutter.finish(), of_face)
 }
 
 /// The layout of a search's last arrangement for the clusters of the Atlas that its cuts made, each matched to the panel that has its
@@ -122,7 +115,7 @@ pub(crate) fn layout(
     atlas: &Atlas,
     origin: &[ChartId],
     mode: OverlapMode,
-    state: &State,
+    state: &SearchState,
     raster: &Raster,
 ) -> Option<Layout> {
     let charts = Charts::new(&Topology::new(atlas));

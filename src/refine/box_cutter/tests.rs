@@ -138,10 +138,10 @@ fn important_regions_are_left_alone() {
         let topology = Topology::new(&staged.atlas);
         let before = Topology::new(&cross);
         let open = |a: &Atlas, t: &Topology| {
-            let edges = (0..t.uv_twin.len()).filter(|h| t.uv_twin[*h] == crate::atlas::NONE);
-            let place = |h: usize| a.surface.triangles[h / 3][h % 3];
+            let edges = t.half_edges().filter(|h| t.is_border(*h));
+            let place = |h: HalfEdge| a.surface.triangles[h.face().index()][h.corner()];
             edges
-                .map(|h| [place(h), place(h / 3 * 3 + (h + 1) % 3)].map(|v| a.surface.positions[v.index()].truncate()))
+                .map(|h| [place(h), place(h.next())].map(|v| a.surface.positions[v.index()].truncate()))
                 .filter(|[a, b]| important((*a + *b) * 0.5))
                 .map(|[a, b]| a.distance(b))
                 .sum::<f64>()

@@ -1,7 +1,6 @@
 //! What merging does to the topology of a chart: it must stay a part of the plane (section 4.1: genus 0, never closed).
 
-use super::mesh::Mesh;
-use crate::atlas::NONE;
+use super::mesh::{Mesh, NONE};
 
 /// Memory for the borders of charts while pairs of their edges are dissolved.
 #[derive(Debug, Default)]

@@ -1,9 +1,8 @@
 //! Making a merge: the only place that changes the mesh.
 
 use super::attempt::Merge;
-use super::mesh::Mesh;
+use super::mesh::{Mesh, NONE};
 use super::operation::Operation;
-use crate::atlas::NONE;
 use crate::atlas::bvh::Bounds;
 
 impl Mesh {

@@ -10,8 +10,15 @@ use glam::DVec2;
 use super::grid::Grid;
 use crate::atlas::bvh::Bounds;
 use crate::atlas::rigid::Rigid;
-use crate::atlas::{Atlas, Charts, FaceId, NONE, Topology, UvId, orientation};
+use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Topology, UvId, orientation};
 use crate::numeric::energy::{arap, jacobian};
+
+/// No half edge.
+pub(super) const NONE: u32 = u32::MAX;
+
+fn raw(h: Option<HalfEdge>) -> u32 {
+    h.map_or(NONE, |h| h.0)
+}
 
 /// A chart under merging.
 #[derive(Debug, Clone, Default)]
@@ -89,8 +96,10 @@ pub(super) struct Mesh {
 impl Mesh {
     /// `open` says which charts may be merged; `may_mirror` whether a chart may be mirrored to fit its neighbours.
     pub(super) fn new(atlas: &Atlas, charts: &Charts, open: &[bool], may_mirror: bool) -> Self {
-        let Winding { atlas: mut own, turned, mirrored } = wound_alike(atlas, charts, may_mirror);
-        own.separate_uvs(charts);
+        let Winding { atlas: own, turned, mirrored } = wound_alike(atlas, charts, may_mirror);
+        let mut separate = crate::atlas::Mesh::new(own);
+        separate.divide_by_chart(|f| charts.of_face[f.index()].0);
+        let mut own = separate.atlas().clone();
         let mut done = vec![false; own.uv.len()];
         for (corners, _) in own.corners.iter().zip(&charts.of_face).filter(|(_, c)| mirrored[c.index()]) {
             for u in corners {
@@ -100,6 +109,7 @@ impl Mesh {
             }
         }
         let topology = Topology::new(&own);
+        let uv_twin: Vec<u32> = topology.half_edges().map(|h| raw(topology.uv_twin(h))).collect();
         let n = own.face_count();
         let extent = own.uv.iter().filter(|p| p.is_finite()).map(|p| p.abs().max_element()).fold(1.0, f64::max);
         let rest: Vec<[DVec2; 3]> = own.faces().map(|f| own.uv_triangle(f)).collect();
@@ -120,11 +130,11 @@ impl Mesh {
             .collect();
         let mut link = vec![NONE; 3 * n];
         for h in 0..3 * n as u32 {
-            let t = topology.surface_twin[h as usize];
+            let t = raw(topology.across_seam(HalfEdge(h)));
             // Sides of a surface that is wound one way here and another there would look folded to each other.
             let most = |h: u32| mostly[charts.of_face[h as usize / 3].index()];
             let alike = || turned[h as usize / 3] == most(h) && turned[t as usize / 3] == most(t) && most(h) == most(t);
-            if topology.is_seam(h) && topology.is_seam(t) && opposite(h, t) && alike() {
+            if t != NONE && opposite(h, t) && alike() {
                 link[h as usize] = t;
             }
         }
@@ -138,11 +148,11 @@ impl Mesh {
         }
         let (mut next, mut prev) = (vec![NONE; 3 * n], vec![NONE; 3 * n]);
         let mut sound = vec![true; charts.len()];
-        topology.crowded.iter().flatten().for_each(|f| sound[charts.of_face[f.index()].index()] = false);
+        topology.incident_faces().flatten().for_each(|f| sound[charts.of_face[f.index()].index()] = false);
         for h in 0..3 * n as u32 {
-            if topology.uv_twin[h as usize] != NONE {
+            if uv_twin[h as usize] != NONE {
                 // Faces that still run alike along a common edge.
-                let t = topology.uv_twin[h as usize];
+                let t = uv_twin[h as usize];
                 if corner(h) != corner(after(t)) {
                     sound[charts.of_face[h as usize / 3].index()] = false;
                 }
@@ -150,8 +160,8 @@ impl Mesh {
             }
             let mut to = after(h);
             let mut left = 3 * n;
-            while topology.uv_twin[to as usize] != NONE && left > 0 {
-                to = after(topology.uv_twin[to as usize]);
+            while uv_twin[to as usize] != NONE && left > 0 {
+                to = after(uv_twin[to as usize]);
                 left -= 1;
             }
             if left == 0 || prev[to as usize] != NONE {
@@ -169,7 +179,7 @@ impl Mesh {
             weight,
             turned,
             star,
-            twin: topology.uv_twin,
+            twin: uv_twin,
             link,
             next,
             prev,
@@ -354,7 +364,7 @@ fn wound_alike(atlas: &Atlas, charts: &Charts, mirror: bool) -> Winding {
             while next < part.len() {
                 let f = part[next];
                 for h in 3 * f..3 * f + 3 {
-                    let t = topology.uv_twin[h as usize];
+                    let t = raw(topology.uv_twin(HalfEdge(h)));
                     if t == NONE || std::mem::replace(&mut seen[t as usize / 3], true) {
                         continue;
                     }
@@ -383,8 +393,8 @@ fn wound_alike(atlas: &Atlas, charts: &Charts, mirror: bool) -> Winding {
             let mut agree = 0.0;
             for f in &charts.faces[c] {
                 for h in 3 * f.0..3 * f.0 + 3 {
-                    let t = topology.surface_twin[h as usize];
-                    if !topology.is_seam(h) || !decided[charts.of_face[t as usize / 3].index()] {
+                    let t = raw(topology.across_seam(HalfEdge(h)));
+                    if t == NONE || !decided[charts.of_face[t as usize / 3].index()] {
                         continue;
                     }
                     let opposite = vertex(h) != vertex(t);

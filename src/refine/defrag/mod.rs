@@ -32,7 +32,7 @@ use super::options::Options;
 use super::pack::{keeps_input, largest_chart, lay_out};
 use super::stage::{SheetInfo, Staged};
 use crate::atlas::OverlapMode;
-use crate::atlas::{Atlas, Charts, NONE, Topology, clusters};
+use crate::atlas::{Atlas, Charts, Topology, clusters};
 use crate::context::Context;
 use crate::error::{Result, Warning};
 use crate::packing::Rotation;
@@ -116,7 +116,10 @@ fn merge_charts(
     let surface: f64 = mesh.area.iter().sum();
     // Length of all seams, each once.
     let border: f64 = 0.5
-        * (0..mesh.link.len() as u32).filter(|&h| mesh.link[h as usize] != NONE).map(|h| mesh.length(h)).sum::<f64>();
+        * (0..mesh.link.len() as u32)
+            .filter(|&h| mesh.link[h as usize] != mesh::NONE)
+            .map(|h| mesh.length(h))
+            .sum::<f64>();
     let border = border.max(1e-300);
     let mut energy = 0.0;
     let mut kept: f64 = mesh.charts.iter().map(|c| c.kept).sum();

@@ -345,7 +345,7 @@ impl<'a> Queue<'a> {
         // Seams whose sides changed shape.
         for h in merge.band.iter().flat_map(|&(f, _)| 3 * f..3 * f + 3) {
             let t = mesh.link[h as usize];
-            if t != crate::atlas::NONE
+            if t != super::mesh::NONE
                 && let Some(&link) = self.of_chart[kept as usize].get(&mesh.chart(t))
             {
                 dirty.push(link);

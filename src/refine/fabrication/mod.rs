@@ -79,7 +79,7 @@ pub(crate) fn panels(atlas: &Atlas, params: &FabricationParams) -> Vec<String> {
     for (number, seam) in seams.iter().enumerate() {
         for (side, run) in [&seam.first, &seam.second].into_iter().enumerate() {
             let Some(&start) = run.first() else { continue };
-            let face = Topology::face(start);
+            let face = start.face();
             let Some(sheet) = sheets.get_mut(usize::from(atlas.page[face.index()])) else { continue };
             let chart = charts.of_face[face.index()];
             let (line, outward) = (outlines.line(run), outlines.outward(chart));

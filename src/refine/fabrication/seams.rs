@@ -1,7 +1,7 @@
 //! Which stretch of an outline is sewn or glued to which.
 
 use super::outline::Outlines;
-use crate::atlas::{HalfEdge, NONE, Topology};
+use crate::atlas::{HalfEdge, Topology};
 
 /// A stretch ends where its outline turns by more than this angle, in radians (20 degrees): flaps are trapezoids.
 const CORNER: f64 = 0.35;
@@ -16,51 +16,45 @@ pub(super) struct Seam {
 
 /// All seams, in the order of their lowest half edges. Every seam edge is in exactly one, once on each side.
 pub(super) fn seams(topology: &Topology, outlines: &Outlines) -> Vec<Seam> {
-    let mut seen = vec![false; topology.uv_twin.len()];
+    let mut seen = vec![false; topology.len()];
     let mut seams = Vec::new();
-    let twin = |h: HalfEdge| topology.surface_twin[h as usize];
-    for start in 0..topology.uv_twin.len() as u32 {
-        if seen[start as usize] || !topology.is_seam(start) {
+    for start in topology.half_edges() {
+        if seen[start.index()] || !topology.is_seam(start) {
             continue;
         }
         // Back to where the stretch begins, or once around.
         let mut first = start;
         loop {
-            let before = outlines.previous[first as usize];
-            if before == NONE || before == start || !goes_on(topology, outlines, before) || seen[before as usize] {
-                break;
-            }
+            let before = outlines.previous[first.index()].filter(|&before| {
+                before != start && goes_on(topology, outlines, before).is_some() && !seen[before.index()]
+            });
+            let Some(before) = before else { break };
             first = before;
         }
-        let mut run = Vec::new();
-        let mut h = first;
-        loop {
-            seen[h as usize] = true;
-            seen[twin(h) as usize] = true;
-            run.push(h);
-            let next = outlines.next[h as usize];
-            if !goes_on(topology, outlines, h) || seen[next as usize] {
-                break;
-            }
-            h = next;
+        let mut own = Seam { first: Vec::new(), second: Vec::new() };
+        let mut h = Some(first);
+        while let Some((one, twin)) = h.and_then(|h| Some((h, topology.across_seam(h)?))) {
+            seen[one.index()] = true;
+            seen[twin.index()] = true;
+            own.first.push(one);
+            own.second.push(twin);
+            h = goes_on(topology, outlines, one).filter(|next| !seen[next.index()]);
         }
-        let second = run.iter().rev().map(|h| twin(*h)).collect();
-        seams.push(Seam { first: run, second });
+        own.second.reverse();
+        seams.push(own);
     }
     seams
 }
 
-/// Whether a stretch goes on from `h` to the edge after it, on both of its sides.
-fn goes_on(topology: &Topology, outlines: &Outlines, h: HalfEdge) -> bool {
-    let next = outlines.next[h as usize];
-    if next == NONE || !topology.is_seam(h) || !topology.is_seam(next) {
-        return false;
-    }
-    let (other, before) = (topology.surface_twin[h as usize], topology.surface_twin[next as usize]);
-    next != other
-        && outlines.next[before as usize] == other
+/// The edge after `h`, if a stretch goes on to it on both of its sides.
+fn goes_on(topology: &Topology, outlines: &Outlines, h: HalfEdge) -> Option<HalfEdge> {
+    let next = outlines.next[h.index()]?;
+    let (other, before) = (topology.across_seam(h)?, topology.across_seam(next)?);
+    let goes_on = next != other
+        && outlines.next[before.index()] == Some(other)
         && !corner(outlines, h, next)
-        && !corner(outlines, before, other)
+        && !corner(outlines, before, other);
+    goes_on.then_some(next)
 }
 
 fn corner(outlines: &Outlines, h: HalfEdge, next: HalfEdge) -> bool {

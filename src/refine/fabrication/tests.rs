@@ -6,19 +6,14 @@ use glam::DVec2;
 
 use super::*;
 use crate::atlas::Move;
-use crate::atlas::testing::sheet;
+use crate::atlas::testing::{cut_open, half_edges_where, sheet};
 
 /// A sheet of 4 x 2 squares, a unit each, as two charts of 2 x 2 that lie apart and were one; 8 texels a unit.
 fn halves() -> Atlas {
     let whole = sheet(4, 2, DVec2::ZERO);
-    let topology = Topology::new(&whole);
-    let middle = |h: &u32| {
-        let at = |k: u32| whole.uv[whole.corners[(h / 3) as usize][(k % 3) as usize].index()];
-        at(*h % 3).x == 2.0 && at((*h + 1) % 3).x == 2.0
-    };
-    let cuts: Vec<u32> = (0..3 * whole.face_count() as u32).filter(middle).collect();
+    let cuts = half_edges_where(&whole, |a, b| a.x == 2.0 && b.x == 2.0);
     assert_eq!(cuts.len(), 4);
-    let cut = whole.cut_along(&topology, &cuts);
+    let cut = cut_open(&whole, &cuts);
     let charts = Charts::new(&Topology::new(&cut));
     let there = |i: usize| Move {
         page: i as u16,
@@ -112,10 +107,9 @@ fn flaps_stand_on_one_side_and_numbers_on_both() {
 fn every_inner_edge_of_loose_triangles_is_a_seam() {
     let mut atlas = sheet(3, 3, DVec2::ZERO);
     let before = Topology::new(&atlas);
-    let inner: Vec<u32> = (0..before.uv_twin.len() as u32).filter(|h| before.uv_twin[*h as usize] > *h).collect();
-    let inner: Vec<u32> = inner.into_iter().filter(|h| before.uv_twin[*h as usize] != crate::atlas::NONE).collect();
+    let inner: Vec<_> = before.half_edges().filter(|h| before.uv_twin(*h).is_some_and(|twin| twin > *h)).collect();
     let count = inner.len();
-    atlas = atlas.cut_along(&before, &inner);
+    atlas = cut_open(&atlas, &inner);
     let sheets = panels(&atlas, &params(Seams::Flaps));
     let mut seen: BTreeMap<u32, u32> = BTreeMap::new();
     numbers(&sheets[0]).into_iter().for_each(|n| *seen.entry(n).or_default() += 1);

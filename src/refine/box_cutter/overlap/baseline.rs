@@ -2,7 +2,7 @@
 
 use super::graph::{self, Scale};
 use super::grow;
-use crate::atlas::{Atlas, Charts, Topology};
+use crate::atlas::{Atlas, Charts, Mesh};
 use crate::context::Context;
 use crate::error::Result;
 
@@ -19,9 +19,9 @@ pub enum Outlines {
 /// regions, bounded by the edges nearest to where the border of one sheet falls on the other, and
 /// become charts of their own. A region that overlaps itself is grown apart. For tests and benchmarks only.
 pub fn remove_overlaps_along_outlines(atlas: &Atlas, outlines: Outlines, context: &Context) -> Result<Atlas> {
-    let topology = Topology::new(atlas);
-    let charts = Charts::new(&topology);
-    let scale = Scale::new(atlas, &topology, None);
+    let mut mesh = Mesh::new(atlas.clone());
+    let charts = Charts::new(mesh.topology());
+    let scale = Scale::new(atlas, mesh.topology(), None);
     let mut of_face = vec![0u32; atlas.face_count()];
     for faces in &charts.faces {
         context.check()?;
@@ -58,7 +58,8 @@ pub fn remove_overlaps_along_outlines(atlas: &Atlas, outlines: Outlines, context
             of_face[f.index()] = l;
         }
     }
-    Ok(super::cut_by_label(atlas, &topology, &of_face))
+    super::cut_by_label(&mut mesh, &of_face);
+    Ok(mesh.into_atlas())
 }
 
 /// The connected regions of overlapping triangles, each ascending; the largest first.

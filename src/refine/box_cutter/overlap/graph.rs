@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::atlas::bvh::{Bounds, Bvh};
 use crate::atlas::overlap::faces_with_area;
 use crate::atlas::seams::{rigid_seams, seam_runs, uv_length, weld_tolerance};
-use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, NONE, Topology, triangles_overlap};
+use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Topology, triangles_overlap};
 use crate::context::Context;
 use crate::error::Result;
 
@@ -158,7 +158,7 @@ impl<'a> Scale<'a> {
         topology: &'a Topology,
         weight: Option<&'a (dyn Fn(HalfEdge) -> f64 + Sync)>,
     ) -> Self {
-        let lengths = (0..topology.uv_twin.len() as u32).map(|h| uv_length(atlas, h)).filter(|l| l.is_finite());
+        let lengths = topology.half_edges().map(|h| uv_length(atlas, h)).filter(|l| l.is_finite());
         let (sum, count) = lengths.fold((0.0, 0.0), |(s, n), l| (s + l, n + 1.0));
         Scale { atlas, topology, weight, average: if sum > 0.0 { sum / count } else { 1.0 } }
     }
@@ -173,22 +173,19 @@ impl<'a> Scale<'a> {
 
 /// Builds the graph of a chart from its overlapping pairs, without bias. Nodes are positions in `faces`, which ascend.
 pub(crate) fn build(scale: &Scale, faces: &[FaceId], pairs: &[(u32, u32)]) -> Graph {
-    let local = |f: u32| faces.binary_search(&FaceId(f)).ok().map(|i| i as u32);
+    let local = |f: FaceId| faces.binary_search(&f).ok().map(|i| i as u32);
     let mut near = Vec::with_capacity(faces.len() * 3 / 2);
     for (i, f) in faces.iter().enumerate() {
-        for h in (3 * f.0)..(3 * f.0 + 3) {
-            let twin = scale.topology.uv_twin[h as usize];
-            if twin != NONE
-                && twin > h
-                && let Some(j) = local(twin / 3)
-            {
+        for h in (0..3).map(|k| HalfEdge::of(*f, k)) {
+            let twin = scale.topology.uv_twin(h).filter(|twin| *twin > h);
+            if let Some(j) = twin.and_then(|twin| local(twin.face())) {
                 near.push((i as u32, j, scale.of(h)));
             }
         }
     }
-    // Faces that crowd about one edge hang together, but it costs nothing to part them: their edge is a border already.
-    let crowded = scale.topology.crowded.iter().filter_map(|p| Some((local(p[0].0)?, local(p[1].0)?, 1)));
-    near.extend(crowded.filter(|e| e.0 != e.1));
+    // The faces of a non-manifold edge hang together, but it costs nothing to part them: their edge is a border already.
+    let incident = scale.topology.incident_faces().filter_map(|[f, g]| Some((local(f)?, local(g)?, 1)));
+    near.extend(incident.filter(|e| e.0 != e.1));
     Graph { faces: faces.to_vec(), ..Graph::from_edges(faces.len(), &near, &[], pairs) }
 }
 
@@ -203,9 +200,9 @@ pub(crate) fn bias_edges(scale: &Scale, charts: &Charts, wanted: &[bool]) -> Vec
         }
         for seam in rigid_seams(scale.atlas, scale.topology, &run, tolerance).iter().filter(|s| s.edges.len() > 1) {
             for &h in &seam.edges {
-                let pair = (Topology::face(h), Topology::face(scale.topology.surface_twin[h as usize]));
-                if pair.0 != pair.1 {
-                    found.push((pair.0, pair.1, scale.of(h)));
+                let other = scale.topology.surface_twin(h).map(HalfEdge::face);
+                if let Some(other) = other.filter(|f| *f != h.face()) {
+                    found.push((h.face(), other, scale.of(h)));
                 }
             }
         }

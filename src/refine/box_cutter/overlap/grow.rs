@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 
 use super::graph::Graph;
 use crate::atlas::Atlas;
-use crate::atlas::forest::Forest;
+use crate::atlas::dynamic_triangles::DynamicTriangleSet;
 use crate::context::Context;
 use crate::error::Result;
 
@@ -25,7 +25,7 @@ pub(crate) fn grow(atlas: &Atlas, graph: &Graph, work: &mut u64, context: &Conte
             if label[seed as usize] != NONE {
                 continue;
             }
-            let mut sheet = Forest::default();
+            let mut sheet = DynamicTriangleSet::default();
             let mut queue = VecDeque::from([seed]);
             while let Some(v) = queue.pop_front() {
                 if label[v as usize] != NONE || refused[v as usize] == next {

@@ -20,15 +20,13 @@ mod split;
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeMap;
-
 use rayon::prelude::*;
 
 use self::graph::{Graph, Scale};
 use self::partition::Partition;
 use super::weld;
 use crate::atlas::seams::{border_length, uv_length};
-use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, NONE, Topology, UvId, VertexId};
+use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, Mesh, Topology, UvId};
 use crate::context::Context;
 use crate::error::Result;
 
@@ -97,23 +95,23 @@ pub fn remove_overlaps_with(
     (bias, method): (Bias, Method),
     context: &Context,
 ) -> Result<Removed> {
-    let before = border_length(atlas, &Topology::new(atlas));
-    let mut removed = Removed { atlas: atlas.clone(), cut_length: 0.0, charts_touched: 0, work: 0, cut_short: false };
+    let mut removed =
+        Removed { atlas: Atlas::default(), cut_length: 0.0, charts_touched: 0, work: 0, cut_short: false };
+    let mut mesh = Mesh::new(atlas.clone());
     // Faces that may be cut: parts of touchable charts.
     let mut open: Option<Vec<bool>> = None;
     for round in 0..ROUNDS {
-        let topology = Topology::new(&removed.atlas);
-        let charts = Charts::new(&topology);
+        let charts = Charts::new(mesh.topology());
         let open = open.get_or_insert_with(|| charts.of_face.iter().map(|&c| touchable(c)).collect());
         let wanted: Vec<ChartId> = charts.ids().filter(|c| open[charts.faces[c.index()][0].index()]).collect();
-        let found = count_all(&removed.atlas, &charts, &wanted, context)?;
+        let found = count_all(mesh.atlas(), &charts, &wanted, context)?;
         if found.is_empty() {
             break;
         }
         if round == 0 {
             removed.charts_touched = found.len();
         }
-        let scale = Scale::new(&removed.atlas, &topology, weight);
+        let scale = Scale::new(mesh.atlas(), mesh.topology(), weight);
         let labels = if round + 1 == ROUNDS {
             let faces = |c: &(ChartId, Option<usize>)| charts.faces[c.0.index()].len() as u32;
             let single = |n: u32| solve::Solved { label: (0..n).collect(), work: n.into(), cut_short: true };
@@ -121,7 +119,7 @@ pub fn remove_overlaps_with(
         } else {
             solve_all(&scale, &charts, &found, (if round == 0 { bias } else { Bias::Off }, method), context)?
         };
-        let mut of_face = vec![0u32; removed.atlas.face_count()];
+        let mut of_face = vec![0u32; atlas.face_count()];
         for ((chart, _), solved) in found.iter().zip(labels) {
             removed.work += solved.work;
             removed.cut_short |= solved.cut_short;
@@ -129,53 +127,32 @@ pub fn remove_overlaps_with(
                 of_face[face.index()] = label;
             }
         }
-        removed.atlas = cut_by_label(&removed.atlas, &topology, &of_face);
+        cut_by_label(&mut mesh, &of_face);
     }
     if removed.charts_touched > 0 {
-        removed.cut_length = border_length(&removed.atlas, &Topology::new(&removed.atlas)) - before;
+        let before = border_length(atlas, &Topology::new(atlas));
+        removed.cut_length = border_length(mesh.atlas(), mesh.topology()) - before;
     }
+    removed.atlas = if removed.charts_touched > 0 { mesh.into_atlas() } else { atlas.clone() };
     Ok(removed)
 }
 
-/// The atlas cut wherever two neighbouring faces of one chart carry different labels.
-fn cut_by_label(atlas: &Atlas, topology: &Topology, label: &[u32]) -> Atlas {
-    let differ = |f: usize, g: usize| label[f] != label[g];
-    let cuts: Vec<HalfEdge> = (0..topology.uv_twin.len() as u32)
-        .filter(|&h| {
-            let twin = topology.uv_twin[h as usize];
-            twin != NONE && twin > h && differ(h as usize / 3, twin as usize / 3)
-        })
-        .collect();
-    let mut parted = topology.clone();
-    parted.crowded.retain(|p| !differ(p[0].index(), p[1].index()));
-    if cuts.is_empty() && parted.crowded.len() == topology.crowded.len() {
-        return atlas.clone();
-    }
-    if parted.crowded.len() == topology.crowded.len() {
-        return atlas.cut_along(topology, &cuts);
-    }
-    // Crowded faces meet at a border, where nothing is cut: their vertices become one for each label.
-    let mut next = atlas.cut_along(&parted, &cuts);
-    let mut shared = vec![false; next.uv.len()];
-    for pair in topology.crowded.iter().filter(|p| differ(p[0].index(), p[1].index())) {
-        let corners = pair.iter().flat_map(|f| next.corners[f.index()]);
-        corners.for_each(|c| shared[c.index()] = true);
-    }
-    let mut copies: BTreeMap<(UvId, u32), UvId> = BTreeMap::new();
-    let mut named = vec![false; shared.len()];
-    for (corners, &label) in next.corners.iter_mut().zip(label) {
-        for corner in corners.iter_mut().filter(|c| c.index() < shared.len() && shared[c.index()]) {
-            let old = *corner;
-            *corner = *copies.entry((old, label)).or_insert_with(|| {
-                if !std::mem::replace(&mut named[old.index()], true) {
-                    return old;
-                }
-                next.uv.push(next.uv[old.index()]);
-                UvId::new(next.uv.len() - 1)
-            });
-        }
-    }
-    next
+/// The mesh cut wherever two neighbouring faces of one chart carry different labels.
+fn cut_by_label(mesh: &mut Mesh, label: &[u32]) {
+    let differ = |f: FaceId, g: FaceId| label[f.index()] != label[g.index()];
+    let topology = mesh.topology();
+    let across = |h: &HalfEdge| topology.uv_twin(*h).is_some_and(|twin| twin > *h && differ(h.face(), twin.face()));
+    let cuts: Vec<HalfEdge> = topology.half_edges().filter(across).collect();
+    // The faces of a non-manifold edge meet at a border, where nothing is cut: their vertices become one for each label.
+    let parted: Vec<[FaceId; 2]> = topology.incident_faces().filter(|p| differ(p[0], p[1])).collect();
+    mesh.cut_unless(&cuts, &|f, g| !differ(f, g));
+    let mut shared: Vec<UvId> = parted.iter().flatten().flat_map(|f| mesh.atlas().corners[f.index()]).collect();
+    shared.sort_unstable();
+    shared.dedup();
+    let corners = shared.iter().flat_map(|&u| mesh.corners_of(u));
+    let mut parts: Vec<(HalfEdge, u32)> = corners.map(|c| (c, label[c.face().index()])).collect();
+    parts.sort_unstable();
+    mesh.divide(&parts);
 }
 
 /// The charts among `wanted` that overlap themselves, with the number of pairs (`None`: too many to list).
@@ -280,35 +257,11 @@ fn solve_chart(
 
 /// The boundary, weighted, that a labelling leaves when all is welded that can be, packing left aside.
 fn welded_length(scale: &Scale, graph: &Graph, label: &[u32], context: &Context) -> Result<f64> {
-    let part = part_of(scale.atlas, &graph.faces);
-    let topology = Topology::new(&part);
-    let partition = Partition::from_labels(graph, label.to_vec());
-    let cut = cut_by_label(&part, &topology, &partition.label);
-    let welded = weld::weld(&cut, &|_| true, f64::INFINITY, &|_| Ok(0.0), context)?;
+    let mut part = Mesh::new(scale.atlas.subset(&graph.faces));
+    cut_by_label(&mut part, &Partition::from_labels(graph, label.to_vec()).label);
+    let welded = weld::weld(part.atlas(), &|_| true, f64::INFINITY, &|_| Ok(0.0), context)?;
     let topology = Topology::new(&welded.atlas);
-    let own = |h: u32| 3 * graph.faces[h as usize / 3].0 + h % 3;
-    let borders = (0..topology.uv_twin.len() as u32).filter(|&h| topology.uv_twin[h as usize] == NONE);
+    let own = |h: HalfEdge| HalfEdge::of(graph.faces[h.face().index()], h.corner());
+    let borders = topology.half_edges().filter(|&h| topology.is_border(h));
     Ok(borders.map(|h| uv_length(&welded.atlas, h) * scale.weight.map_or(1.0, |w| w(own(h)))).sum())
-}
-
-/// An atlas of some faces only.
-fn part_of(atlas: &Atlas, faces: &[FaceId]) -> Atlas {
-    let mut part = Atlas { sheets: atlas.sheets.clone(), ..Atlas::default() };
-    let mut uvs: Vec<u32> = faces.iter().flat_map(|f| atlas.corners[f.index()]).map(|u| u.0).collect();
-    let mut vertices: Vec<u32> = faces.iter().flat_map(|f| atlas.surface.triangles[f.index()]).map(|v| v.0).collect();
-    for ids in [&mut uvs, &mut vertices] {
-        ids.sort_unstable();
-        ids.dedup();
-    }
-    let place = |ids: &[u32], id: u32| ids.binary_search(&id).unwrap_or(0);
-    part.uv = uvs.iter().map(|&u| atlas.uv[u as usize]).collect();
-    part.surface.positions = vertices.iter().map(|&v| atlas.surface.positions[v as usize]).collect();
-    for f in faces {
-        part.corners.push(atlas.corners[f.index()].map(|u| UvId::new(place(&uvs, u.0))));
-        let triangle = atlas.surface.triangles[f.index()];
-        part.surface.triangles.push(triangle.map(|v| VertexId::new(place(&vertices, v.0))));
-        part.provenance.push(atlas.provenance[f.index()]);
-        part.page.push(atlas.page[f.index()]);
-    }
-    part
 }

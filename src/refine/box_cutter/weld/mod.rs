@@ -10,7 +10,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 
-use self::state::State;
+use self::state::WeldState;
 use crate::atlas::seams::{RigidSeam, border_length, rigid_seams, seam_runs, weld_tolerance};
 use crate::atlas::{Atlas, ChartId, Charts, Topology};
 use crate::context::Context;
@@ -43,47 +43,47 @@ pub fn weld(
     efficiency: &(dyn Fn(&Atlas) -> Result<f64> + Sync),
     context: &Context,
 ) -> Result<Welded> {
-    let mut state = State::new(atlas, touchable, weld_tolerance(atlas));
+    let mut state = WeldState::new(atlas, touchable, weld_tolerance(atlas));
     let mut guard = Guard { floor: None, loss, packings: 0, start: atlas, efficiency };
     let mut undone = 0;
     loop {
         context.check()?;
         state.close_slits();
         let candidates = candidates(&state);
-        let snapshot = loss.is_finite().then(|| state.clone());
+        let snapshot = loss.is_finite().then(|| state.snapshot());
         let applied = apply(&mut state, &candidates, context)?;
         if applied.is_empty() {
             break;
         }
         let Some(snapshot) = snapshot else { continue };
-        if guard.holds(&state.atlas)? {
+        if guard.holds(state.mesh.atlas())? {
             continue;
         }
         // As many of the welds, in order, as packing bears; the next one is never tried again.
+        let work = state.work;
         let (mut good, mut bad) = (0, applied.len());
-        let mut kept = snapshot.clone();
         while bad - good > 1 && guard.packings < PACKINGS && !context.out_of_time() {
             context.check()?;
             let middle = good.midpoint(bad);
-            let mut next = snapshot.clone();
-            apply(&mut next, &applied[..middle], context)?;
-            if guard.holds(&next.atlas)? {
-                (good, kept) = (middle, next);
+            state.restore(&snapshot);
+            apply(&mut state, &applied[..middle], context)?;
+            if guard.holds(state.mesh.atlas())? {
+                good = middle;
             } else {
                 bad = middle;
             }
         }
-        kept.work = state.work;
-        kept.banned = state.banned;
-        kept.ban(&applied[bad - 1]);
+        state.restore(&snapshot);
+        apply(&mut state, &applied[..good], context)?;
+        state.work = work;
+        state.ban(&applied[bad - 1]);
         undone += 1;
-        state = kept;
         if guard.packings >= PACKINGS || context.out_of_time() {
             break;
         }
     }
     state.close_slits();
-    let (welds, work) = (state.welds, state.work);
+    let (welds, work) = (state.welds(), state.work);
     let welded = state.into_atlas(atlas);
     let length = |a: &Atlas| border_length(a, &Topology::new(a));
     let boundary_saved = length(atlas) - length(&welded);
@@ -112,16 +112,16 @@ impl Guard<'_> {
 }
 
 /// Rigid seams between different charts, the longest first.
-fn candidates(state: &State) -> Vec<RigidSeam> {
-    let topology = Topology::new(&state.atlas);
-    let charts = Charts::new(&topology);
+fn candidates(state: &WeldState) -> Vec<RigidSeam> {
+    let (atlas, topology) = (state.mesh.atlas(), state.mesh.topology());
+    let charts = Charts::new(topology);
     let mut found = Vec::new();
-    for run in seam_runs(&state.atlas, &topology, &charts) {
+    for run in seam_runs(atlas, topology, &charts) {
         let faces = run.charts.map(|c| charts.faces[c.index()][0]);
         if run.charts[0] == run.charts[1] || !faces.iter().all(|&f| state.may_touch(f)) {
             continue;
         }
-        found.extend(rigid_seams(&state.atlas, &topology, &run, state.tolerance));
+        found.extend(rigid_seams(atlas, topology, &run, state.tolerance));
     }
     found.retain(|seam| !state.is_banned(seam));
     found.sort_by(|a, b| b.length.total_cmp(&a.length).then(a.edges[0].cmp(&b.edges[0])));
@@ -129,7 +129,7 @@ fn candidates(state: &State) -> Vec<RigidSeam> {
 }
 
 /// Tries the seams in order; those that were welded. Seams of charts that moved meanwhile wait for the next round.
-fn apply(state: &mut State, candidates: &[RigidSeam], context: &Context) -> Result<Vec<RigidSeam>> {
+fn apply(state: &mut WeldState, candidates: &[RigidSeam], context: &Context) -> Result<Vec<RigidSeam>> {
     state.start_round();
     let mut applied = Vec::new();
     for seam in candidates {

@@ -2,20 +2,13 @@ use glam::{DMat2, DVec2};
 
 use super::*;
 use crate::atlas::overlap::overlaps_where;
-use crate::atlas::testing::sheet;
+use crate::atlas::testing::{cut_open, half_edges_where, sheet};
 use crate::atlas::{Move, VertexId};
 
 /// A strip of `parts` sheets of 2 x 3 squares, cut apart, each turned and set aside: a jigsaw that fits.
 fn jigsaw(parts: usize) -> Atlas {
     let whole = sheet(2 * parts, 3, DVec2::ZERO);
-    let topology = Topology::new(&whole);
-    let cuts: Vec<u32> = (0..topology.uv_twin.len() as u32)
-        .filter(|&h| {
-            let [a, b] = [0, 1].map(|k| whole.uv[whole.corners[h as usize / 3][(h as usize + k) % 3].index()]);
-            a.x == b.x && a.x % 2.0 == 0.0
-        })
-        .collect();
-    let cut = whole.cut_along(&topology, &cuts);
+    let cut = cut_open(&whole, &half_edges_where(&whole, |a, b| a.x == b.x && a.x % 2.0 == 0.0));
     let charts = Charts::new(&Topology::new(&cut));
     assert_eq!(charts.len(), parts);
     let moves: Vec<Move> = (0..parts)
@@ -88,7 +81,8 @@ fn a_cylinder_cut_open_twice_is_closed_once() {
             *v = VertexId::new(home);
         }
     }
-    assert_eq!(Topology::new(&tube).surface_twin.iter().filter(|t| **t == u32::MAX).count(), 16);
+    let topology = Topology::new(&tube);
+    assert_eq!(topology.half_edges().filter(|h| topology.surface_twin(*h).is_none()).count(), 16);
     let welded = weld(&tube, &|_| true, 0.1, &free, &Context::silent()).unwrap();
     assert_eq!((chart_count(&welded.atlas), welded.welds), (1, 3));
     assert!((welded.boundary_saved - 18.0).abs() < 1e-6 && overlap_free(&welded.atlas));
@@ -123,9 +117,9 @@ fn packing_that_suffers_takes_welds_back() {
 fn slits_that_are_shut_become_whole() {
     let whole = sheet(3, 3, DVec2::ZERO);
     let topology = Topology::new(&whole);
-    let inner = (0..54u32).find(|&h| topology.uv_twin[h as usize] != u32::MAX).unwrap();
-    let more: Vec<u32> = (0..54).filter(|h| h / 3 == inner / 3 || h / 3 == 9).collect();
-    let slit = whole.cut_along(&topology, &more);
+    let inner = topology.half_edges().find(|h| !topology.is_border(*h)).unwrap();
+    let more: Vec<_> = topology.half_edges().filter(|h| h.face() == inner.face() || h.face().0 == 9).collect();
+    let slit = cut_open(&whole, &more);
     let welded = weld(&slit, &|_| true, f64::INFINITY, &free, &Context::silent()).unwrap();
     assert_eq!(chart_count(&welded.atlas), 1);
     assert_eq!(welded.atlas.uv.len(), whole.uv.len());

@@ -22,12 +22,12 @@ struct Tree {
 
 /// The set. Cloning is cheap: trees are shared.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Forest {
+pub(crate) struct DynamicTriangleSet {
     trees: Vec<Arc<Tree>>,
     loose: Vec<[DVec2; 3]>,
 }
 
-impl Forest {
+impl DynamicTriangleSet {
     /// Adds triangles. Those without area, or with coordinates that are not finite, never overlap anything.
     pub(crate) fn add(&mut self, triangles: impl IntoIterator<Item = [DVec2; 3]>) {
         self.loose.extend(triangles.into_iter().filter(|t| t.iter().all(|p| p.is_finite())));
@@ -78,22 +78,22 @@ mod tests {
     #[test]
     fn it_says_what_testing_all_says() {
         let mut rng = Rng(9);
-        let (mut forest, mut all) = (Forest::default(), Vec::new());
+        let (mut set, mut all) = (DynamicTriangleSet::default(), Vec::new());
         let (mut hits, mut misses) = (0, 0);
         for n in 0..600 {
             let p = rng.point(100.0);
             let t = [p, p + rng.point(5.0), p + rng.point(5.0)];
             let expected = all.iter().any(|o| triangles_overlap(o, &t));
-            assert_eq!(forest.hits(&t, |_| true).0, expected, "{n}");
+            assert_eq!(set.hits(&t, |_| true).0, expected, "{n}");
             if expected {
                 hits += 1
             } else {
                 misses += 1
             }
-            forest.add([t]);
+            set.add([t]);
             all.push(t);
         }
         assert!(hits > 50 && misses > 50);
-        assert!(forest.trees.len() < 10);
+        assert!(set.trees.len() < 10);
     }
 }
