@@ -312,7 +312,7 @@ fn measure(path: &Path) -> io::Result<(u64, String)> {
     }
 }
 
-fn sync_folder(path: &Path) -> io::Result<()> {
+pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
     // Only Unix can open a folder and sync it; elsewhere the rename is durable by itself or not at all.
     if cfg!(unix) { fs::File::open(path)?.sync_all() } else { Ok(()) }
 }

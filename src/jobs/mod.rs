@@ -8,6 +8,7 @@ pub mod hub;
 pub mod queue;
 pub mod record;
 pub mod slots;
+mod stored_options;
 mod system;
 pub mod telemetry;
 mod upkeep;
@@ -17,7 +18,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use serde_json::Value;
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
@@ -25,7 +25,6 @@ use tokio_util::sync::CancellationToken;
 use self::telemetry::Telemetry;
 use crate::config::{Limits, Work};
 use crate::error::{Code, Failure, Result};
-use crate::refine::options::Options;
 use files::Files;
 use hub::Hub;
 use queue::sqlite::Sqlite;
@@ -65,6 +64,7 @@ impl Jobs {
     pub async fn open(data: &Path, work: &Work, limits: Limits) -> Result<Arc<Self>> {
         let files = Files::open(data)?;
         let queue = Sqlite::open(&files.queue()).await?;
+        tracing::info!(store = queue.identity().await?, "the job queue is open");
         let jobs = Jobs {
             queue: Box::new(queue),
             files,
@@ -219,11 +219,6 @@ impl Jobs {
             Some((path, entry)) => Ok((entry, path)),
         }
     }
-}
-
-/// The options of a job as its row holds them.
-fn stored_options(value: &Value) -> Result<Options> {
-    serde_json::from_value(value.clone()).map_err(|e| Failure::internal(format!("the stored options are broken: {e}")))
 }
 
 fn unknown(id: &str) -> Failure {

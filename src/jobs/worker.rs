@@ -16,6 +16,7 @@ use super::hub::Reporter;
 use super::queue::{Beat, Claim, End, canceled};
 use super::record::{Entry, JobError, Missed, State};
 use super::slots::Slot;
+use super::stored_options;
 use crate::context::{Context, Timing};
 use crate::error::{Code, Failure, Result, Warning};
 use crate::refine::options::Options;
@@ -209,12 +210,13 @@ fn ended(reporter: &Reporter, computed: Computed) -> End {
 /// The synchronous part, on the rayon pool.
 fn compute(jobs: &Jobs, claim: &Claim, reporter: Arc<Reporter>, runtime: &Handle) -> Computed {
     let stop = reporter.stop.flag.clone();
-    let options = match super::stored_options(&claim.options) {
-        Ok(options) => options,
+    let (options, ignored) = match stored_options::read(&claim.options) {
+        Ok(read) => read,
         Err(failure) => return Computed::failed(failure),
     };
     let limit = options.time_limit_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
     let context = Context::new(reporter, stop, options.seed).with_time_limit(limit);
+    ignored.into_iter().for_each(|warning| context.warn(warning));
     let result = guarded(&claim.id, || steps(jobs, claim, &claim.inputs, &options, &context, runtime));
     Computed { result, warnings: Some(context.warnings()), timings: context.timings() }
 }

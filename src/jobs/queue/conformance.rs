@@ -23,6 +23,7 @@ pub(in crate::jobs) async fn suite<Q: Queue + 'static>(mut make: impl AsyncFnMut
     objects_live_as_long_as_somebody_needs_them(&make().await).await;
     what_a_job_was_told_is_kept(&make().await).await;
     pages_hold_every_job_once(&make().await).await;
+    every_store_has_an_identity_of_its_own(&make().await, &make().await).await;
 }
 
 fn new(id: &str) -> NewJob {
@@ -253,4 +254,11 @@ async fn pages_hold_every_job_once(queue: &impl Queue) {
     }
     assert_eq!(seen, ["4", "3", "2", "1", "0"]);
     assert_eq!(queue.list(Some(State::Failed), None, 9).await.unwrap().0.len(), 0);
+}
+
+async fn every_store_has_an_identity_of_its_own(queue: &impl Queue, other: &impl Queue) {
+    let identity = queue.identity().await.unwrap();
+    assert!(identity.len() == 32 && identity.bytes().all(|b| b.is_ascii_hexdigit()), "{identity}");
+    assert_eq!(queue.identity().await, Ok(identity.clone()));
+    assert_ne!(other.identity().await, Ok(identity));
 }

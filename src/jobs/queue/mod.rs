@@ -6,7 +6,6 @@
 
 #[cfg(test)]
 pub(super) mod conformance;
-mod rows;
 pub mod sqlite;
 
 use std::time::Duration;
@@ -29,6 +28,9 @@ pub const AHEAD: f64 = 0.2;
 /// A durable queue of jobs. Every method fails with `internal` when the backend does.
 #[async_trait]
 pub trait Queue: Send + Sync {
+    /// What tells this store from all others, for as long as it lives: 128 random bits in hexadecimal digits.
+    async fn identity(&self) -> Result<String>;
+
     /// Stores a new job, unless `most` jobs wait (`queue_full`) or its key is known: then nothing is stored, and the job of the key is
     /// named (`idempotency_mismatch` when that was another request). When this returns, the job survives anything.
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted>;

@@ -1,5 +1,8 @@
 //! The queue in one SQLite file (WAL): for one machine, any number of processes. All SQL of jobs stands here and beside it.
 
+mod migrations;
+mod rows;
+
 use std::path::Path;
 use std::time::Duration;
 
@@ -10,7 +13,8 @@ use sqlx::sqlite::{
 };
 use sqlx::{AssertSqlSafe, Row};
 
-use super::rows::{job, json, parsed, states};
+use self::migrations::MIGRATIONS;
+use self::rows::{job, json, parsed, states};
 use super::{
     AHEAD, Beat, Canceled, Claim, End, MAX_DEATHS, NewJob, Queue, Remove, Room, Standing, Submitted, canceled,
     given_up, mismatch, queue_full,
@@ -18,9 +22,6 @@ use super::{
 use crate::context::Progress;
 use crate::error::{Failure, Result};
 use crate::jobs::record::{Job, Moment, State};
-
-/// Version of the tables, kept in the database's `user_version`.
-const VERSION: i64 = 2;
 
 /// The place of a job among those that wait: 1 is next.
 const POSITION: &str = "CASE state WHEN 'queued' THEN (SELECT count(*) FROM jobs other
@@ -36,47 +37,32 @@ pub struct Sqlite {
 }
 
 impl Sqlite {
-    /// Opens the database, or makes it.
+    /// Opens the database, or makes it. One of an earlier version is copied, then migrated ([`migrations`]).
     ///
     /// # Errors
-    /// `internal`: the disk, or a database of another version.
+    /// `internal`: the disk, or a database of a version that this program does not know.
     pub async fn open(path: &Path) -> Result<Self> {
-        let options = SqliteConnectOptions::new()
-            .filename(path)
+        let options = SqliteConnectOptions::new().filename(path).busy_timeout(Duration::from_secs(20));
+        migrations::check(&options, MIGRATIONS).await?;
+        let options = options
             .create_if_missing(true)
             .journal_mode(SqliteJournalMode::Wal)
             // A job is acknowledged only when it would survive a loss of power.
-            .synchronous(SqliteSynchronous::Full)
-            .busy_timeout(Duration::from_secs(20));
+            .synchronous(SqliteSynchronous::Full);
         let pool = SqlitePoolOptions::new().max_connections(4).connect_with(options.clone()).await?;
+        migrations::migrate(&pool, path, MIGRATIONS).await?;
         let beats = options.synchronous(SqliteSynchronous::Normal);
         let beats = SqlitePoolOptions::new().max_connections(1).connect_lazy_with(beats);
-        let of = "PRAGMA user_version";
-        if sqlx::query(of).fetch_one(&pool).await?.try_get::<i64, _>(0)? == VERSION {
-            return Ok(Sqlite { pool, beats });
-        }
-        // Of several processes that start, one makes the tables.
-        let mut connection = pool.begin_with("BEGIN IMMEDIATE").await?;
-        let version: i64 = sqlx::query(of).fetch_one(&mut *connection).await?.try_get(0)?;
-        match version {
-            VERSION => {}
-            0 => {
-                sqlx::raw_sql(include_str!("sqlite.sql")).execute(&mut *connection).await?;
-                sqlx::raw_sql(AssertSqlSafe(format!("PRAGMA user_version = {VERSION}")))
-                    .execute(&mut *connection)
-                    .await?;
-            }
-            other => {
-                return Err(Failure::internal(format!("the queue has version {other}; this program knows {VERSION}")));
-            }
-        }
-        connection.commit().await?;
         Ok(Sqlite { pool, beats })
     }
 }
 
 #[async_trait]
 impl Queue for Sqlite {
+    async fn identity(&self) -> Result<String> {
+        Ok(sqlx::query("SELECT identity FROM store").fetch_one(&self.pool).await?.try_get(0)?)
+    }
+
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted> {
         let (key, fingerprint) = job.key.as_ref().map(|(k, f)| (k.as_str(), f.as_str())).unzip();
         let done = sqlx::query(
@@ -392,14 +378,5 @@ mod tests {
             Sqlite::open(&root.path().join(format!("{number}.sqlite"))).await.unwrap()
         })
         .await;
-    }
-
-    #[tokio::test]
-    async fn a_queue_of_another_version_is_refused() {
-        let root = tempfile::tempdir().unwrap();
-        let path = root.path().join("queue.sqlite");
-        let queue = Sqlite::open(&path).await.unwrap();
-        sqlx::raw_sql("PRAGMA user_version = 99").execute(&queue.pool).await.unwrap();
-        assert!(Sqlite::open(&path).await.unwrap_err().message.contains("99"));
     }
 }
