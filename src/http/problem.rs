@@ -99,4 +99,4 @@ impl IntoResponse for Problem {
 }
 
 /// What handlers return.
-pub type Answer<T = Response> = std::result::Result<T, Problem>;
+pub type HandlerResult<T = Response> = std::result::Result<T, Problem>;

@@ -8,8 +8,8 @@ use serde_json::json;
 use super::*;
 use crate::error::Code;
 use crate::jobs::queue::sqlite::Sqlite;
-use crate::jobs::queue::{NewJob, Queue, Room, Submitted};
-use crate::jobs::record::{Moment, State};
+use crate::jobs::queue::{Capacity, NewJob, Queue, Submitted};
+use crate::jobs::record::{JobState, Timestamp};
 use crate::jobs::stored_options;
 use crate::refine::options::Options;
 
@@ -142,7 +142,7 @@ async fn a_store_of_version_2_opens_with_all_its_jobs() {
         assert_eq!((job.state.as_str(), &job.metadata), (id, &json!({"a": 1})));
     }
     let job = queue.get("succeeded").await.unwrap().unwrap();
-    assert_eq!((job.created_at, job.finished_at), (Moment(1795724883855), Some(Moment(1795724889914))));
+    assert_eq!((job.created_at, job.finished_at), (Timestamp(1795724883855), Some(Timestamp(1795724889914))));
     assert_eq!((job.stages[0].stage.as_str(), job.timings[0].seconds), ("read", 0.005291459));
     assert_eq!((job.warnings[0].pointer.as_deref(), job.artifacts[0].sha256.as_str()), (Some("/meshes/0"), "48d4"));
     let error = queue.get("failed").await.unwrap().unwrap().error.unwrap();
@@ -150,9 +150,9 @@ async fn a_store_of_version_2_opens_with_all_its_jobs() {
 
     // It goes on where it stood: those that ran come back, those that wait are claimed, keys are known.
     let back = queue.recover(Some("worker")).await.unwrap();
-    assert_eq!(back, [("running".to_owned(), State::Queued), ("stopping".to_owned(), State::Canceled)]);
+    assert_eq!(back, [("running".to_owned(), JobState::Queued), ("stopping".to_owned(), JobState::Canceled)]);
     for id in ["queued", "running"] {
-        let claim = queue.claim("w", Duration::from_secs(60), Room::ANY).await.unwrap().unwrap();
+        let claim = queue.claim("w", Duration::from_secs(60), Capacity::ANY).await.unwrap().unwrap();
         assert_eq!((claim.id.as_str(), claim.inputs.models[0].path.as_str()), (id, "a.glb"));
         let (options, ignored) = stored_options::read(&claim.options).unwrap();
         assert_eq!((options, ignored.len()), (serde_json::from_str::<Options>(OPTIONS_2).unwrap(), 0));
