@@ -52,7 +52,7 @@ async fn serve(arguments: &Serve) -> Result<()> {
     // Half a request holds its connection only for a while.
     server.http_builder().http1().timer(TokioTimer::new()).header_read_timeout(HEADERS);
     let worker = tokio::spawn(jobs.clone().work());
-    let upkeep = tokio::spawn(jobs.clone().keep());
+    let maintenance = tokio::spawn(jobs.clone().run_maintenance());
     super::print(&format!("listening on http://{address}\n"))?;
 
     let shutdown = jobs.shutdown.clone();
@@ -66,7 +66,7 @@ async fn serve(arguments: &Serve) -> Result<()> {
     // Whatever does not end in time is cut off: the queue is made for that.
     let limit = arguments.work.grace.saturating_add(PATIENCE);
     handle.graceful_shutdown(Some(limit));
-    let _ = timeout(limit, async { tokio::join!(worker, upkeep, server) }).await;
+    let _ = timeout(limit, async { tokio::join!(worker, maintenance, server) }).await;
     Ok(())
 }
 

@@ -14,7 +14,7 @@ use tokio::io::{AsyncReadExt, AsyncSeekExt};
 
 use super::App;
 use super::jobs::matches;
-use super::problem::{Answer, Problem};
+use super::problem::{HandlerResult, Problem};
 use crate::error::{Code, Failure};
 
 /// Bytes that are read at once.
@@ -43,7 +43,7 @@ pub(super) async fn fetch(
     State(app): State<App>,
     Path((id, name)): Path<(String, String)>,
     headers: HeaderMap,
-) -> Answer {
+) -> HandlerResult {
     let (entry, path) = app.jobs.artifact(&id, &name).await?;
     let etag = format!("\"{}\"", entry.sha256);
     let builder = Response::builder()
@@ -67,13 +67,13 @@ pub(super) async fn fetch(
         .unwrap_or_else(|_| HeaderValue::from_static("application/octet-stream"));
     let builder =
         builder.header(header::CONTENT_TYPE, media_type).header(header::CONTENT_DISPOSITION, disposition(&entry.name));
-    let (builder, range) = match asked.map_or(Asked::All, |text| range(text, entry.bytes)) {
-        Asked::All => (builder.status(StatusCode::OK), 0..=entry.bytes.saturating_sub(1)),
-        Asked::Part(part) => {
+    let (builder, range) = match asked.map_or(RequestedRange::All, |text| parse_range(text, entry.bytes)) {
+        RequestedRange::All => (builder.status(StatusCode::OK), 0..=entry.bytes.saturating_sub(1)),
+        RequestedRange::Part(part) => {
             let content = format!("bytes {}-{}/{}", part.start(), part.end(), entry.bytes);
             (builder.status(StatusCode::PARTIAL_CONTENT).header(header::CONTENT_RANGE, content), part)
         }
-        Asked::Outside => {
+        RequestedRange::Unsatisfiable => {
             let problem = Problem::new(Code::InvalidRequest, format!("the artifact has {} bytes", entry.bytes));
             let mut response =
                 axum::response::IntoResponse::into_response(problem.with_status(StatusCode::RANGE_NOT_SATISFIABLE));
@@ -105,31 +105,31 @@ fn chunks(file: File, length: u64) -> impl stream::Stream<Item = std::io::Result
 
 /// What a `Range` header asks for.
 #[derive(Debug, PartialEq)]
-enum Asked {
+enum RequestedRange {
     /// Everything; also what is not understood, as RFC 9110 (14.2) wants it.
     All,
     Part(RangeInclusive<u64>),
-    Outside,
+    Unsatisfiable,
 }
 
-fn range(text: &str, length: u64) -> Asked {
+fn parse_range(text: &str, length: u64) -> RequestedRange {
     let Some((first, last)) = text.strip_prefix("bytes=").and_then(|r| r.trim().split_once('-')) else {
-        return Asked::All;
+        return RequestedRange::All;
     };
     let number = |t: &str| if t.bytes().all(|b| b.is_ascii_digit()) { t.parse::<u64>().ok() } else { None };
     let part = match (first.is_empty(), last.is_empty()) {
-        (true, true) => return Asked::All,
+        (true, true) => return RequestedRange::All,
         (true, false) => match number(last) {
-            Some(0) => return Asked::Outside,
+            Some(0) => return RequestedRange::Unsatisfiable,
             Some(n) => length.saturating_sub(n)..=length.saturating_sub(1),
-            None => return Asked::All,
+            None => return RequestedRange::All,
         },
         (false, open) => match (number(first), if open { Some(u64::MAX) } else { number(last) }) {
             (Some(a), Some(b)) if a <= b => a..=b.min(length.saturating_sub(1)),
-            _ => return Asked::All,
+            _ => return RequestedRange::All,
         },
     };
-    if *part.start() >= length { Asked::Outside } else { Asked::Part(part) }
+    if *part.start() >= length { RequestedRange::Unsatisfiable } else { RequestedRange::Part(part) }
 }
 
 /// The file name, plain where it can be and in full beside it (RFC 6266).
@@ -150,18 +150,18 @@ mod tests {
 
     #[test]
     fn ranges_are_those_of_rfc_9110() {
-        assert_eq!(range("bytes=0-0", 10), Asked::Part(0..=0));
-        assert_eq!(range("bytes=2-", 10), Asked::Part(2..=9));
-        assert_eq!(range("bytes=2-99", 10), Asked::Part(2..=9));
-        assert_eq!(range("bytes=-3", 10), Asked::Part(7..=9));
-        assert_eq!(range("bytes=-30", 10), Asked::Part(0..=9));
+        assert_eq!(parse_range("bytes=0-0", 10), RequestedRange::Part(0..=0));
+        assert_eq!(parse_range("bytes=2-", 10), RequestedRange::Part(2..=9));
+        assert_eq!(parse_range("bytes=2-99", 10), RequestedRange::Part(2..=9));
+        assert_eq!(parse_range("bytes=-3", 10), RequestedRange::Part(7..=9));
+        assert_eq!(parse_range("bytes=-30", 10), RequestedRange::Part(0..=9));
         for outside in ["bytes=10-", "bytes=10-12", "bytes=-0"] {
-            assert_eq!(range(outside, 10), Asked::Outside, "{outside}");
+            assert_eq!(parse_range(outside, 10), RequestedRange::Unsatisfiable, "{outside}");
         }
         for all in ["bytes=3-2", "bytes=0-1,4-5", "lines=1-2", "bytes=-", "bytes=a-b", "bytes=+1-2"] {
-            assert_eq!(range(all, 10), Asked::All, "{all}");
+            assert_eq!(parse_range(all, 10), RequestedRange::All, "{all}");
         }
-        assert_eq!(range("bytes=0-", 0), Asked::Outside);
+        assert_eq!(parse_range("bytes=0-", 0), RequestedRange::Unsatisfiable);
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! `/v1/jobs/{id}/events`: server-sent events of one job.
 //!
-//! Events are the differences between what the client has been told and how the job is now, so a slow client gets fewer
-//! of them and never a queue of old ones; only stages and warnings are told one by one. An id is
-//! `<attempt>.<stages told>.<warnings told>`: with it, a client that comes back is told those that it missed.
+//! Events are the differences between what the client has been sent and how the job is now, so a slow client gets fewer
+//! of them and never a queue of old ones; only stages and warnings are sent one by one. An id is
+//! `<attempt>.<stages sent>.<warnings sent>`: with it, a client that comes back gets those that it missed.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -16,16 +16,16 @@ use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
 use super::App;
-use super::problem::{Answer, Problem};
+use super::problem::{HandlerResult, Problem};
 use crate::context::Progress;
 use crate::error::Code;
-use crate::jobs::hub::Live;
-use crate::jobs::record::{Job, State as JobState};
+use crate::jobs::hub::LiveJob;
+use crate::jobs::record::{Job, JobState};
 
-/// Shortest time between two looks at the job.
-const QUIET: Duration = Duration::from_millis(100);
-/// Longest time without a look: another process may be computing the job.
-const LOOK: Duration = Duration::from_secs(3);
+/// Shortest time between two reads of the job.
+const MIN_INTERVAL: Duration = Duration::from_millis(100);
+/// Longest time between two reads: another process may be computing the job.
+const MAX_INTERVAL: Duration = Duration::from_secs(3);
 /// A comment goes out when nothing else has for so long.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
@@ -41,45 +41,45 @@ pub(super) async fn follow(
     State(app): State<App>,
     Path(id): Path<String>,
     headers: HeaderMap,
-) -> Answer<Sse<impl Stream<Item = Result<Event, Infallible>>>> {
-    // The listener first, the job second: what happens in between is then not missed.
+) -> HandlerResult<Sse<impl Stream<Item = Result<Event, Infallible>>>> {
+    // Subscribed first, read second: what happens in between is then not missed.
     let live = app.jobs.hub.follow(&id);
     let job = app.jobs.get(&id).await?;
-    let heard = headers.get("last-event-id").and_then(|v| v.to_str().ok()).and_then(heard);
-    let mut told = Told::of(&job);
-    match heard {
+    let last = headers.get("last-event-id").and_then(|v| v.to_str().ok()).and_then(parse_event_id);
+    let mut cursor = SseCursor::after_snapshot(&job);
+    match last {
         Some((attempt, stages, warnings)) if attempt == job.attempt => {
-            told.stages = stages.min(job.stages.len());
-            told.warnings = warnings.min(job.warnings.len());
+            cursor.stages = stages.min(job.stages.len());
+            cursor.warnings = warnings.min(job.warnings.len());
         }
-        Some(_) => told.warnings = 0,
+        Some(_) => cursor.warnings = 0,
         None => {}
     }
-    let mut pending = VecDeque::from([told.event("snapshot", &job)]);
-    pending.extend(told.news(&job));
-    let follower = Follower { app, id, live, told, pending };
-    let events = unfold(follower, |mut follower| async move {
-        let event = follower.next().await?;
-        Some((Ok(event), follower))
+    let mut pending = VecDeque::from([cursor.event("snapshot", &job)]);
+    pending.extend(cursor.advance(&job));
+    let stream = EventStream { app, id, live, cursor, pending };
+    let events = unfold(stream, |mut stream| async move {
+        let event = stream.next().await?;
+        Some((Ok(event), stream))
     });
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
 }
 
-struct Follower {
+struct EventStream {
     app: App,
     id: String,
-    live: Option<watch::Receiver<Live>>,
-    told: Told,
+    live: Option<watch::Receiver<LiveJob>>,
+    cursor: SseCursor,
     pending: VecDeque<Event>,
 }
 
-impl Follower {
+impl EventStream {
     async fn next(&mut self) -> Option<Event> {
         loop {
             if let Some(event) = self.pending.pop_front() {
                 return Some(event);
             }
-            if self.told.at_end() {
+            if self.cursor.at_end() {
                 return None;
             }
             let shutdown = self.app.jobs.shutdown.clone();
@@ -88,11 +88,11 @@ impl Follower {
                 () = self.change() => {}
             }
             match self.app.jobs.get(&self.id).await {
-                Ok(job) => self.pending.extend(self.told.news(&job)),
+                Ok(job) => self.pending.extend(self.cursor.advance(&job)),
                 Err(failure) if failure.code == Code::NotFound => {
-                    self.told.state = Some(JobState::Canceled);
+                    self.cursor.state = Some(JobState::Canceled);
                     let gone = serde_json::json!({"id": self.id, "state": JobState::Canceled});
-                    self.pending.push_back(self.told.event("state", &gone));
+                    self.pending.push_back(self.cursor.event("state", &gone));
                 }
                 // The queue may come back.
                 Err(_) => {}
@@ -102,11 +102,11 @@ impl Follower {
 
     /// Returns when the job may have changed.
     async fn change(&mut self) {
-        sleep(QUIET).await;
+        sleep(MIN_INTERVAL).await;
         let alive = match &mut self.live {
-            Some(live) => !matches!(timeout(LOOK, live.changed()).await, Ok(Err(_))),
+            Some(live) => !matches!(timeout(MAX_INTERVAL, live.changed()).await, Ok(Err(_))),
             None => {
-                sleep(LOOK).await;
+                sleep(MAX_INTERVAL).await;
                 self.live = self.app.jobs.hub.follow(&self.id);
                 true
             }
@@ -117,15 +117,15 @@ impl Follower {
     }
 }
 
-/// What an id says: attempt, stages and warnings.
-fn heard(id: &str) -> Option<(u32, usize, usize)> {
+/// Attempt, stages and warnings of an event's id.
+fn parse_event_id(id: &str) -> Option<(u32, usize, usize)> {
     let mut parts = id.split('.');
     let (attempt, stages, warnings) = (parts.next()?, parts.next()?, parts.next()?);
     Some((attempt.parse().ok()?, stages.parse().ok()?, warnings.parse().ok()?))
 }
 
-/// What the client knows.
-struct Told {
+/// What the client has been sent.
+struct SseCursor {
     /// `None`: only what the snapshot says.
     state: Option<JobState>,
     attempt: u32,
@@ -134,19 +134,25 @@ struct Told {
     warnings: usize,
 }
 
-impl Told {
-    /// What a snapshot tells: everything but the stages that have passed, and the end, which has an event of its own.
-    fn of(job: &Job) -> Self {
+impl SseCursor {
+    /// A snapshot has everything but the stages that have passed, and the end, which has an event of its own.
+    fn after_snapshot(job: &Job) -> Self {
         let state = (!job.state.is_final()).then_some(job.state);
-        Told { state, attempt: job.attempt, progress: job.progress.clone(), stages: 0, warnings: job.warnings.len() }
+        SseCursor {
+            state,
+            attempt: job.attempt,
+            progress: job.progress.clone(),
+            stages: 0,
+            warnings: job.warnings.len(),
+        }
     }
 
     fn at_end(&self) -> bool {
         self.state.is_some_and(JobState::is_final)
     }
 
-    /// What the client does not know yet.
-    fn news(&mut self, job: &Job) -> Vec<Event> {
+    /// Events of what the client has not been sent yet.
+    fn advance(&mut self, job: &Job) -> Vec<Event> {
         let mut events = Vec::new();
         if job.attempt != self.attempt {
             self.attempt = job.attempt;
@@ -185,10 +191,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_are_read_and_what_is_none_is_not() {
-        assert_eq!(heard("2.3.17"), Some((2, 3, 17)));
+    fn event_ids_are_parsed_and_malformed_ones_are_not() {
+        assert_eq!(parse_event_id("2.3.17"), Some((2, 3, 17)));
         for bad in ["", "1", "1.2", "a.b.c", "-1.0.0", "1..2"] {
-            assert_eq!(heard(bad), None, "{bad}");
+            assert_eq!(parse_event_id(bad), None, "{bad}");
         }
     }
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{Answer, Problem};
+use super::problem::{HandlerResult, Problem};
 use crate::error::Code;
 
 /// That the service is there.
@@ -32,7 +32,7 @@ pub(super) async fn alive() -> Json<Health> {
 #[utoipa::path(get, path = "/readyz", tag = "service", responses(
     (status = 200, body = Health),
     (status = 503, description = "Not now", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn ready(State(app): State<App>) -> Answer<Json<Health>> {
+pub(super) async fn ready(State(app): State<App>) -> HandlerResult<Json<Health>> {
     let unready = |why| Problem::new(Code::Internal, why).with_status(StatusCode::SERVICE_UNAVAILABLE);
     if app.jobs.shutdown.is_cancelled() {
         return Err(unready("the service is shutting down"));
@@ -45,8 +45,8 @@ pub(super) async fn ready(State(app): State<App>) -> Answer<Json<Health>> {
 #[utoipa::path(get, path = "/metrics", tag = "service", responses(
     (status = 200, description = "In the text format of Prometheus", content_type = "text/plain", body = String),
     (status = 500, description = "The job queue does not answer", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn metrics(State(app): State<App>) -> Answer {
-    let text = app.jobs.telemetry.text(&app.jobs.queue.counts().await?, app.jobs.slots.taken())?;
+pub(super) async fn metrics(State(app): State<App>) -> HandlerResult {
+    let text = app.jobs.telemetry.text(&app.jobs.queue.counts().await?, app.jobs.slots.usage())?;
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
 }
 

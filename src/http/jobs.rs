@@ -10,15 +10,15 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::prefer;
-use super::problem::{Answer, Problem};
+use super::problem::{HandlerResult, Problem};
 use super::upload::{self, Submission};
 use crate::error::{Code, Failure};
-use crate::jobs::record::{Job, State as JobState};
+use crate::jobs::record::{Job, JobState};
 
 /// Seconds after which a job that is not final may be asked for again.
 const RETRY_AFTER: HeaderValue = HeaderValue::from_static("1");
 
-/// Submits a model. It is checked at the door, stored, and computed later: follow the job.
+/// Submits a model. Container, options and limits are checked at once, everything else when the job runs: follow it.
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs",
     params(("recipe" = Option<String>, Query, description = "With a raw model: a preset, or stages joined by commas"),
         ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
@@ -42,11 +42,11 @@ const RETRY_AFTER: HeaderValue = HeaderValue::from_static("1");
         (status = 422, description = "The options are not valid, or the key belongs to another request", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "The queue is full", body = Problem, content_type = "application/problem+json",
             headers(("Retry-After" = u32, description = "Seconds")))))]
-pub(super) async fn submit(State(app): State<App>, request: Request) -> Answer {
+pub(super) async fn submit(State(app): State<App>, request: Request) -> HandlerResult {
     let wait = prefer::wait(request.headers());
     let (mut job, known) = upload::receive(&app, request).await?;
     if let Some(wait) = wait {
-        job = app.jobs.settled(&job.id, wait).await?;
+        job = app.jobs.wait_until_final(&job.id, wait).await?;
     }
     let location = HeaderValue::from_str(&format!("/v1/jobs/{}", job.id))
         .map_err(|e| Failure::internal(format!("an id cannot stand in a header: {e}")))?;
@@ -76,10 +76,10 @@ pub(super) async fn submit(State(app): State<App>, request: Request) -> Answer {
             ("Retry-After" = u32, description = "Seconds; until the job is final"))),
         (status = 304, description = "Nothing has changed"),
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Answer {
+pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> HandlerResult {
     let wait = prefer::wait(&headers);
     let job = match wait {
-        Some(wait) => app.jobs.settled(&id, wait).await?,
+        Some(wait) => app.jobs.wait_until_final(&id, wait).await?,
         None => app.jobs.get(&id).await?,
     };
     let body = serde_json::to_vec(&job).map_err(|e| Failure::internal(e.to_string()))?;
@@ -135,7 +135,7 @@ pub(super) struct JobPage {
 pub(super) async fn list(
     State(app): State<App>,
     query: Result<Query<ListQuery>, axum::extract::rejection::QueryRejection>,
-) -> Answer {
+) -> HandlerResult {
     if !app.list_jobs {
         return Err(Problem::new(Code::NotFound, "this service does not list its jobs"));
     }
@@ -155,7 +155,7 @@ pub(super) async fn list(
         (status = 202, description = "It will stop, or has", body = Job),
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> Answer<(StatusCode, Json<Job>)> {
+pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> HandlerResult<(StatusCode, Json<Job>)> {
     Ok((StatusCode::ACCEPTED, Json(app.jobs.cancel(&id).await?)))
 }
 
@@ -165,7 +165,7 @@ pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> An
     responses(
         (status = 204, description = "It is gone"),
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Answer<StatusCode> {
+pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> HandlerResult<StatusCode> {
     app.jobs.delete(&id).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -1,11 +1,11 @@
 //! The service: routes on one screen ([`router`]), one file a resource, problem details.
 
 mod artifacts;
-mod door;
 mod events;
 mod health;
 mod jobs;
 mod prefer;
+mod preflight;
 pub mod problem;
 mod recipes;
 pub mod router;

@@ -77,7 +77,7 @@ impl From<Failure> for Problem {
     fn from(failure: Failure) -> Self {
         let mut problem = Problem::new(failure.code, failure.message.clone());
         if let Some(pointer) = failure.pointer {
-            problem.errors.push(OptionProblem { pointer, message: failure.message });
+            problem.errors.push(OptionProblem::new(pointer, failure.message));
         }
         problem
     }
@@ -99,4 +99,4 @@ impl IntoResponse for Problem {
 }
 
 /// What handlers return.
-pub type Answer<T = Response> = std::result::Result<T, Problem>;
+pub type HandlerResult<T = Response> = std::result::Result<T, Problem>;

@@ -23,8 +23,8 @@ use super::{App, artifacts, events, health, jobs, recipes};
 use crate::error::{Code, Failure, Result};
 
 /// The routes.
-fn all() -> OpenApiRouter<App> {
-    OpenApiRouter::with_openapi(head())
+fn all_routes() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(openapi_head())
         .routes(routes!(jobs::submit, jobs::list))
         .routes(routes!(jobs::read, jobs::delete))
         .routes(routes!(jobs::cancel))
@@ -43,7 +43,7 @@ fn all() -> OpenApiRouter<App> {
 /// # Errors
 /// `invalid_options` for an origin that cannot stand in a header.
 pub fn router(app: App, origins: &[String]) -> Result<Router> {
-    let (router, _) = all().split_for_parts();
+    let (router, _) = all_routes().split_for_parts();
     let request_id = HeaderName::from_static("x-request-id");
     let mut router = router
         .fallback(|| async { Problem::new(Code::NotFound, "there is no such route") })
@@ -54,8 +54,8 @@ pub fn router(app: App, origins: &[String]) -> Result<Router> {
         // Uploads have a limit of their own, counted while they stream to the disk.
         .layer(DefaultBodyLimit::disable())
         .layer(from_fn(catch_panics))
-        .layer(from_fn_with_state(app.clone(), counted))
-        .layer(CompressionLayer::new().compress_when(is_text));
+        .layer(from_fn_with_state(app.clone(), record_response))
+        .layer(CompressionLayer::new().compress_when(is_compressible));
     if !origins.is_empty() {
         router = router.layer(cors(origins)?);
     }
@@ -76,7 +76,7 @@ pub fn router(app: App, origins: &[String]) -> Result<Router> {
 
 /// The OpenAPI document.
 pub fn openapi() -> OpenApi {
-    all().into_openapi()
+    all_routes().into_openapi()
 }
 
 /// The OpenAPI document as it stands in `api/openapi.json`.
@@ -86,7 +86,7 @@ pub fn openapi_text() -> String {
     text
 }
 
-fn head() -> OpenApi {
+fn openapi_head() -> OpenApi {
     let info = InfoBuilder::new()
         .title("Intarsia")
         .version(env!("CARGO_PKG_VERSION"))
@@ -131,17 +131,17 @@ fn cors(origins: &[String]) -> Result<CorsLayer> {
         ]))
 }
 
-/// Whether an answer is compressed where the client takes that: JSON and metrics, not streams, nor artifacts, of which ranges can be
+/// Whether a response is compressed where the client takes that: JSON and metrics, not streams, nor artifacts, of which ranges can be
 /// asked for.
-fn is_text(_: StatusCode, _: Version, headers: &HeaderMap, _: &Extensions) -> bool {
+fn is_compressible(_: StatusCode, _: Version, headers: &HeaderMap, _: &Extensions) -> bool {
     let media_type = headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let media_type = media_type.split(';').next().unwrap_or_default();
     matches!(media_type, "application/json" | "application/problem+json" | "text/plain")
         && !headers.contains_key(header::ACCEPT_RANGES)
 }
 
-/// Counts an answer.
-async fn counted(State(app): State<App>, route: Option<MatchedPath>, request: Request, next: Next) -> Response {
+/// Counts a response.
+async fn record_response(State(app): State<App>, route: Option<MatchedPath>, request: Request, next: Next) -> Response {
     let (started, method) = (Instant::now(), request.method().clone());
     let response = next.run(request).await;
     // Methods that nobody defined are one.
@@ -152,7 +152,7 @@ async fn counted(State(app): State<App>, route: Option<MatchedPath>, request: Re
         _ => Method::TRACE,
     };
     let route = route.as_ref().map_or("other", MatchedPath::as_str);
-    app.jobs.telemetry.answered(method.as_str(), route, response.status().as_u16(), started.elapsed());
+    app.jobs.telemetry.record_response(method.as_str(), route, response.status().as_u16(), started.elapsed());
     response
 }
 

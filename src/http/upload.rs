@@ -17,11 +17,11 @@ use tokio::time::timeout;
 use utoipa::ToSchema;
 
 use super::App;
-use super::door;
-use super::problem::{Answer, Problem};
+use super::preflight;
+use super::problem::{HandlerResult, Problem};
 use crate::asset::estimate;
 use crate::error::{Code, Failure};
-use crate::jobs::files::{Manifest, Stored, disk};
+use crate::jobs::files::{Manifest, UploadedFile, disk};
 use crate::jobs::queue::NewJob;
 use crate::jobs::record::{Job, new_id};
 use crate::refine::options::Options;
@@ -30,9 +30,9 @@ use crate::refine::parse;
 /// Bytes of the `options` of a submission.
 pub(super) const MAX_OPTIONS_BYTES: usize = 1 << 20;
 /// How much of a refused request is still read, and for how long.
-const DRAINED_BYTES: usize = 32 << 20;
-const DRAINED_TIME: Duration = Duration::from_secs(3);
-/// Bytes a second that an upload must bring on average, once it has lasted for as long as it may stand still.
+const MAX_DRAINED_BYTES: usize = 32 << 20;
+const MAX_DRAIN_TIME: Duration = Duration::from_secs(3);
+/// Bytes a second that an upload must send on average, once it has lasted for as long as it may stand still.
 const MIN_RATE: f64 = 1024.0;
 /// Bytes of an Idempotency-Key.
 const MAX_KEY_BYTES: usize = 255;
@@ -54,12 +54,12 @@ pub(super) struct Submission {
 }
 
 /// Receives a submission and stores it as a job; true when it was known, by its key.
-pub(super) async fn receive(app: &App, request: Request) -> Answer<(Job, bool)> {
-    let request_id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).map(cut);
-    let request = request.map(|body| Body::from_stream(Drained(Some(body.into_data_stream()))));
+pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<(Job, bool)> {
+    let request_id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).map(truncated);
+    let request = request.map(|body| Body::from_stream(DrainOnDrop(Some(body.into_data_stream()))));
     let key = key(request.headers())?;
     let _permit = admit(app, request.headers()).await?;
-    let mut incoming = Incoming::new(app).await?;
+    let mut incoming = IncomingUpload::new(app).await?;
     let media_type = media_type(request.headers());
     let options = match media_type.as_str() {
         "multipart/form-data" => form(&mut incoming, request).await?,
@@ -89,7 +89,7 @@ pub(super) async fn receive(app: &App, request: Request) -> Answer<(Job, bool)> 
 }
 
 /// The client's name for its request: what is sent again under it is not done again.
-fn key(headers: &HeaderMap) -> Answer<Option<String>> {
+fn key(headers: &HeaderMap) -> HandlerResult<Option<String>> {
     let Some(value) = headers.get("idempotency-key") else { return Ok(None) };
     match value.to_str() {
         Ok(key) if (1..=MAX_KEY_BYTES).contains(&key.len()) => Ok(Some(key.to_owned())),
@@ -101,7 +101,7 @@ fn key(headers: &HeaderMap) -> Answer<Option<String>> {
 }
 
 /// What is refused before anything is read.
-async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> Answer<SemaphorePermit<'a>> {
+async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> HandlerResult<SemaphorePermit<'a>> {
     let limits = &app.jobs.limits;
     let Ok(permit) = app.uploads.try_acquire() else {
         return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
@@ -120,9 +120,9 @@ async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> Answer<SemaphorePermit<
 
 /// The body of a request, whose rest is still read for a while when it is dropped before its end: a client that is
 /// still sending would lose the answer when the connection closes under it.
-struct Drained(Option<BodyDataStream>);
+struct DrainOnDrop(Option<BodyDataStream>);
 
-impl Stream for Drained {
+impl Stream for DrainOnDrop {
     type Item = Result<Bytes, axum::Error>;
 
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
@@ -135,11 +135,11 @@ impl Stream for Drained {
     }
 }
 
-impl Drop for Drained {
+impl Drop for DrainOnDrop {
     fn drop(&mut self) {
         let (Some(mut body), Ok(runtime)) = (self.0.take(), Handle::try_current()) else { return };
         runtime.spawn(async move {
-            let mut left = DRAINED_BYTES;
+            let mut left = MAX_DRAINED_BYTES;
             let read = async {
                 while let Some(Ok(chunk)) = body.next().await {
                     left = left.saturating_sub(chunk.len());
@@ -149,13 +149,13 @@ impl Drop for Drained {
                 }
             };
             // Nobody waits for what was refused.
-            let _ = timeout(DRAINED_TIME, read).await;
+            let _ = timeout(MAX_DRAIN_TIME, read).await;
         });
     }
 }
 
 /// The raw model as the body; its options are in the query.
-async fn raw(incoming: &mut Incoming<'_>, request: Request, path: &str) -> Answer<Value> {
+async fn raw(incoming: &mut IncomingUpload<'_>, request: Request, path: &str) -> HandlerResult<Value> {
     let mut options = Value::Object(serde_json::Map::new());
     let query: axum::extract::Query<Vec<(String, String)>> = axum::extract::Query::try_from_uri(request.uri())
         .map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
@@ -163,7 +163,7 @@ async fn raw(incoming: &mut Incoming<'_>, request: Request, path: &str) -> Answe
         match key.as_str() {
             "recipe" => options["recipe"] = parse::recipe_named(&value),
             other => {
-                let detail = format!("unknown parameter `{}`; a raw model takes `recipe`", cut(other));
+                let detail = format!("unknown parameter `{}`; a raw model takes `recipe`", truncated(other));
                 return Err(Problem::new(Code::InvalidRequest, detail));
             }
         }
@@ -174,7 +174,7 @@ async fn raw(incoming: &mut Incoming<'_>, request: Request, path: &str) -> Answe
 }
 
 /// A form: `model` once or several times, any number of `files`, `options` at most once.
-async fn form(incoming: &mut Incoming<'_>, request: Request) -> Answer<Value> {
+async fn form(incoming: &mut IncomingUpload<'_>, request: Request) -> HandlerResult<Value> {
     let mut form =
         Multipart::from_request(request, &()).await.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
     let mut options = None;
@@ -186,7 +186,7 @@ async fn form(incoming: &mut Incoming<'_>, request: Request) -> Answer<Value> {
         match name.as_str() {
             "model" => {
                 let path = relative(field.file_name().filter(|n| !n.is_empty()).unwrap_or("model"))?;
-                incoming.unused(&path)?;
+                incoming.check_path_unused(&path)?;
                 let stored = incoming.store(path, field).await?;
                 incoming.manifest.models.push(stored);
             }
@@ -195,7 +195,7 @@ async fn form(incoming: &mut Incoming<'_>, request: Request) -> Answer<Value> {
                     return Err(Problem::new(Code::InvalidRequest, "a field `files` has no file name"));
                 };
                 let path = relative(&path)?;
-                incoming.unused(&path)?;
+                incoming.check_path_unused(&path)?;
                 let stored = incoming.store(path, field).await?;
                 incoming.manifest.files.push(stored);
             }
@@ -219,7 +219,8 @@ async fn form(incoming: &mut Incoming<'_>, request: Request) -> Answer<Value> {
             }
             "options" => return Err(Problem::new(Code::InvalidRequest, "`options` stands twice in the form")),
             other => {
-                let detail = format!("unknown field `{}`; the form has `model`, `files` and `options`", cut(other));
+                let detail =
+                    format!("unknown field `{}`; the form has `model`, `files` and `options`", truncated(other));
                 return Err(Problem::new(Code::InvalidRequest, detail));
             }
         }
@@ -228,7 +229,7 @@ async fn form(incoming: &mut Incoming<'_>, request: Request) -> Answer<Value> {
 }
 
 /// An upload under way. When it is dropped before the queue has taken it, its files go.
-struct Incoming<'a> {
+struct IncomingUpload<'a> {
     app: &'a App,
     id: String,
     folder: PathBuf,
@@ -238,12 +239,20 @@ struct Incoming<'a> {
     taken: bool,
 }
 
-impl<'a> Incoming<'a> {
-    async fn new(app: &'a App) -> Answer<Self> {
+impl<'a> IncomingUpload<'a> {
+    async fn new(app: &'a App) -> HandlerResult<Self> {
         let id = new_id()?;
         let folder = app.jobs.files.incoming(&id);
         tokio::fs::create_dir_all(&folder).await.map_err(|e| disk(&folder, &e))?;
-        Ok(Incoming { app, id, folder, manifest: Manifest::default(), bytes: 0, started: Instant::now(), taken: false })
+        Ok(IncomingUpload {
+            app,
+            id,
+            folder,
+            manifest: Manifest::default(),
+            bytes: 0,
+            started: Instant::now(),
+            taken: false,
+        })
     }
 
     /// Streams one file to the disk.
@@ -251,7 +260,7 @@ impl<'a> Incoming<'a> {
         &mut self,
         name: String,
         stream: impl Stream<Item = Result<Bytes, E>>,
-    ) -> Answer<Stored> {
+    ) -> HandlerResult<UploadedFile> {
         let limits = &self.app.jobs.limits;
         let number = self.manifest.models.len() + self.manifest.files.len();
         if number >= limits.max_files {
@@ -268,30 +277,30 @@ impl<'a> Incoming<'a> {
             if self.bytes > limits.max_upload {
                 return Err(too_large(limits.max_upload));
             }
-            self.keep_up()?;
+            self.check_rate()?;
             hash.update(&chunk);
             file.write_all(&chunk).await.map_err(failed)?;
         }
         file.flush().await.map_err(failed)?;
         file.sync_all().await.map_err(failed)?;
-        Ok(Stored { path: name, number, sha256: hex::encode(hash.finalize()) })
+        Ok(UploadedFile { path: name, number, sha256: hex::encode(hash.finalize()) })
     }
 
     /// No two files have one path.
-    fn unused(&self, path: &str) -> Answer<()> {
+    fn check_path_unused(&self, path: &str) -> HandlerResult<()> {
         let taken = self.manifest.files.iter().any(|f| f.path == path);
         if taken { Err(Problem::new(Code::InvalidRequest, format!("two files are called `{path}`"))) } else { Ok(()) }
     }
 
     /// The cheap checks of every model.
-    async fn check(&mut self) -> Answer<()> {
+    async fn check(&mut self) -> HandlerResult<()> {
         if self.manifest.models.is_empty() {
             return Err(Problem::new(Code::InvalidRequest, "the form has no field `model`"));
         }
         let most = self.app.jobs.limits.max_json;
         for model in &mut self.manifest.models {
             let (path, name) = (self.folder.join(model.number.to_string()), model.path.clone());
-            let kind = tokio::task::spawn_blocking(move || door::check(&path, &name, most)).await;
+            let kind = tokio::task::spawn_blocking(move || preflight::check(&path, &name, most)).await;
             let kind = kind.map_err(|e| Failure::internal(format!("the check was lost: {e}")))??;
             // A body without a name gets the one that belongs to its contents.
             if !model.path.contains('.') {
@@ -302,11 +311,11 @@ impl<'a> Incoming<'a> {
     }
 
     /// Bytes that the job is expected to need, by the headers of its files.
-    async fn memory(&self) -> Answer<u64> {
+    async fn memory(&self) -> HandlerResult<u64> {
         let (folder, manifest, limits) =
             (self.folder.clone(), self.manifest.clone(), crate::asset::Limits::from(&self.app.jobs.limits));
-        let told = tokio::task::spawn_blocking(move || {
-            let at = |stored: &Stored| folder.join(stored.number.to_string());
+        let estimated = tokio::task::spawn_blocking(move || {
+            let at = |stored: &UploadedFile| folder.join(stored.number.to_string());
             let files: Vec<(&str, PathBuf)> = manifest.files.iter().map(|f| (f.path.as_str(), at(f))).collect();
             let files: Vec<(&str, &Path)> = files.iter().map(|(name, path)| (*name, path.as_path())).collect();
             let mut models = manifest.models.iter();
@@ -314,7 +323,7 @@ impl<'a> Incoming<'a> {
                 Ok(sum.saturating_add(estimate((&model.path, &at(model)), &files, &limits)?.bytes))
             })
         });
-        let bytes = told.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))??;
+        let bytes = estimated.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))??;
         let most = self.app.jobs.slots.memory();
         if bytes > most {
             let detail =
@@ -325,13 +334,13 @@ impl<'a> Incoming<'a> {
     }
 
     /// Refuses an upload that is so slow that it would only hold its place.
-    fn keep_up(&self) -> Answer<()> {
+    fn check_rate(&self) -> HandlerResult<()> {
         let took = self.started.elapsed();
         let slow = took > self.app.jobs.limits.upload_idle && (self.bytes as f64) < MIN_RATE * took.as_secs_f64();
         if slow { Err(stalled()) } else { Ok(()) }
     }
 
-    /// What tells this request from others: its options, and its files by name and contents.
+    /// Fingerprint of this request: its options, and its files by name and contents.
     fn fingerprint(&self, options: &Value) -> String {
         let mut hash = Sha256::new();
         hash.update(options.to_string());
@@ -349,7 +358,7 @@ impl<'a> Incoming<'a> {
     }
 }
 
-impl Drop for Incoming<'_> {
+impl Drop for IncomingUpload<'_> {
     fn drop(&mut self) {
         if !self.taken {
             self.app.jobs.files.remove_uploads(&self.id);
@@ -358,8 +367,8 @@ impl Drop for Incoming<'_> {
 }
 
 /// A relative path with forward slashes that stays where it is.
-fn relative(path: &str) -> Answer<String> {
-    let bad = |why: &str| Err(Problem::new(Code::InvalidRequest, format!("the file name `{}` {why}", cut(path))));
+fn relative(path: &str) -> HandlerResult<String> {
+    let bad = |why: &str| Err(Problem::new(Code::InvalidRequest, format!("the file name `{}` {why}", truncated(path))));
     let path = path.replace('\\', "/");
     let path = path.strip_prefix("./").unwrap_or(&path);
     if path.is_empty() || path.len() > MAX_PATH_BYTES {
@@ -379,10 +388,10 @@ fn relative(path: &str) -> Answer<String> {
 
 fn media_type(headers: &HeaderMap) -> String {
     let value = headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or("");
-    cut(value.split(';').next().unwrap_or("").trim()).to_ascii_lowercase()
+    truncated(value.split(';').next().unwrap_or("").trim()).to_ascii_lowercase()
 }
 
-fn cut(text: &str) -> String {
+fn truncated(text: &str) -> String {
     text.chars().take(100).collect()
 }
 

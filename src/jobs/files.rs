@@ -5,7 +5,7 @@
 //! file gets its final name only when all of it is on the disk.
 
 use std::fs;
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
@@ -13,33 +13,30 @@ use std::time::{Duration, SystemTime};
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use zip::write::SimpleFileOptions;
 
-use super::record::{Entry, new_id};
+use super::record::{ArtifactEntry, new_id};
 use crate::asset::File;
 use crate::error::{Failure, Result};
 use crate::refine::run::Artifact;
 
-/// Name of the archive with all of a result.
-pub const ARCHIVE: &str = "result.zip";
 /// Characters that need no escape in the last segment of a path (RFC 3986, unreserved).
 const SEGMENT: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
 /// End of the name of a worker's file that is not locked yet.
-const YOUNG: &str = ".new";
+const UNLOCKED: &str = ".new";
 
 /// What was uploaded, by the number of its file.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Manifest {
     /// The models, in order.
-    pub models: Vec<Stored>,
+    pub models: Vec<UploadedFile>,
     /// The files that they name.
-    pub files: Vec<Stored>,
+    pub files: Vec<UploadedFile>,
 }
 
 /// One uploaded file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Stored {
+pub struct UploadedFile {
     /// Relative path as its user calls it.
     pub path: String,
     /// Number of its file.
@@ -59,14 +56,6 @@ pub struct Files {
     _lock: Arc<fs::File>,
 }
 
-/// A result that is ready to be stored.
-#[derive(Debug)]
-pub struct Parcel {
-    /// What it consists of, the archive last.
-    pub entries: Vec<Entry>,
-    archive: Option<PathBuf>,
-}
-
 impl Files {
     /// Opens or makes the folder, and registers this process as a worker: a file that it holds locked while it lives, whatever way it
     /// ends.
@@ -80,12 +69,13 @@ impl Files {
             let folder = root.join(part);
             fs::create_dir_all(&folder).map_err(|e| disk(&folder, &e))?;
         }
-        let (young, path) = (root.join("workers").join(format!("{owner}{YOUNG}")), root.join("workers").join(&owner));
+        let (unlocked, path) =
+            (root.join("workers").join(format!("{owner}{UNLOCKED}")), root.join("workers").join(&owner));
         let lock = || {
-            let file = fs::File::create_new(&young)?;
+            let file = fs::File::create_new(&unlocked)?;
             file.lock()?;
             // Others look only at the final name, so they never see it unlocked while its process lives.
-            fs::rename(&young, &path)?;
+            fs::rename(&unlocked, &path)?;
             Ok(file)
         };
         let lock = lock().map_err(|e| disk(&path, &e))?;
@@ -104,28 +94,28 @@ impl Files {
 
     /// Whether the process of a worker is gone.
     pub fn worker_is_gone(&self, owner: &str) -> bool {
-        match fs::File::open(self.worker(owner)) {
+        match fs::File::open(self.lock_file(owner)) {
             Ok(file) => file.try_lock().is_ok(),
             Err(error) => error.kind() == io::ErrorKind::NotFound,
         }
     }
 
     /// Removes what workers that are gone have left.
-    pub fn forget_workers(&self) {
+    pub fn remove_dead_workers(&self) {
         for folder in ["incoming", "workers"] {
             for entry in fs::read_dir(self.root.join(folder)).into_iter().flatten().flatten() {
                 let name = entry.file_name();
-                if let Some(owner) = name.to_str().filter(|n| !n.ends_with(YOUNG))
+                if let Some(owner) = name.to_str().filter(|n| !n.ends_with(UNLOCKED))
                     && self.worker_is_gone(owner)
                 {
-                    forget(&self.root.join("incoming").join(owner));
-                    let _ = fs::remove_file(self.worker(owner));
+                    remove_folder(&self.root.join("incoming").join(owner));
+                    let _ = fs::remove_file(self.lock_file(owner));
                 }
             }
         }
     }
 
-    fn worker(&self, owner: &str) -> PathBuf {
+    fn lock_file(&self, owner: &str) -> PathBuf {
         self.root.join("workers").join(owner)
     }
 
@@ -155,7 +145,7 @@ impl Files {
     /// `internal` with the system's words.
     pub fn load(&self, job: &str, manifest: &Manifest) -> Result<Vec<Vec<File>>> {
         let folder = self.uploads(job);
-        let read = |stored: &Stored| {
+        let read = |stored: &UploadedFile| {
             let path = folder.join(stored.number.to_string());
             let bytes = fs::read(&path).map_err(|e| disk(&path, &e))?;
             Ok(File { path: stored.path.clone(), bytes })
@@ -172,62 +162,27 @@ impl Files {
         Ok(models)
     }
 
-    /// Makes a result ready: hashes its files and writes an archive of all of them beside the objects.
-    ///
-    /// # Errors
-    /// `internal` with the system's words; then nothing is left.
-    pub fn pack(&self, job: &str, attempt: u32, artifacts: &[Artifact]) -> Result<Parcel> {
-        let hashed = |a: &Artifact| entry(job, a, a.bytes.len() as u64, hex::encode(Sha256::digest(&a.bytes)));
-        let mut entries: Vec<Entry> = artifacts.iter().map(hashed).collect();
-        if artifacts.iter().any(|a| a.name == ARCHIVE) {
-            return Ok(Parcel { entries, archive: None });
-        }
-        let path = self.incoming(&format!("{job}.{attempt}.zip"));
-        let written = archive(&path, artifacts).and_then(|()| measure(&path));
-        let (bytes, sha256) = written.map_err(|e| {
-            let _ = fs::remove_file(&path);
-            disk(&path, &e)
-        })?;
-        let (name, role, media_type) = (ARCHIVE.into(), "archive".into(), "application/zip".into());
-        entries.push(entry(job, &Artifact { name, role, media_type, bytes: Vec::new() }, bytes, sha256));
-        Ok(Parcel { entries, archive: Some(path) })
-    }
-
-    /// Forgets a result that was made ready.
-    pub fn discard(&self, parcel: &Parcel) {
-        if let Some(path) = &parcel.archive {
-            let _ = fs::remove_file(path);
-        }
-    }
-
-    /// Stores a result whose objects are reserved. When this returns, it survives anything.
+    /// Stores the files of a result, whose objects are reserved, by their hashes. When this returns, they survive anything.
     ///
     /// # Errors
     /// `internal` with the system's words.
-    pub fn store(&self, parcel: &Parcel, artifacts: &[Artifact]) -> Result<()> {
-        let put = |entry: &Entry, artifact: Option<&Artifact>| -> io::Result<()> {
+    pub fn store(&self, entries: &[ArtifactEntry], artifacts: &[Artifact]) -> Result<()> {
+        let put = |entry: &ArtifactEntry, artifact: &Artifact| -> io::Result<()> {
             let object = self.object(&entry.sha256);
             let folder = object.parent().unwrap_or(&self.root);
             if fs::metadata(&object).is_ok_and(|m| m.len() == entry.bytes) {
                 return Ok(());
             }
             fs::create_dir_all(folder)?;
-            let young = self.incoming(&format!("{}.object", new_id().map_err(io::Error::other)?));
-            match (artifact, &parcel.archive) {
-                (Some(artifact), _) => {
-                    let mut file = fs::File::create_new(&young)?;
-                    file.write_all(&artifact.bytes)?;
-                    file.sync_all()?;
-                    fs::rename(&young, &object)?;
-                }
-                (None, Some(archive)) => fs::rename(archive, &object)?,
-                (None, None) => return Err(io::ErrorKind::NotFound.into()),
-            }
+            let partial = self.incoming(&format!("{}.object", new_id().map_err(io::Error::other)?));
+            let mut file = fs::File::create_new(&partial)?;
+            file.write_all(&artifact.bytes)?;
+            file.sync_all()?;
+            fs::rename(&partial, &object)?;
             sync_folder(folder)?;
             sync_folder(&self.root.join("objects"))
         };
-        let stored = parcel.entries.iter().enumerate().try_for_each(|(n, entry)| put(entry, artifacts.get(n)));
-        self.discard(parcel);
+        let stored = entries.iter().zip(artifacts).try_for_each(|(entry, artifact)| put(entry, artifact));
         stored.map_err(|e| disk(&self.root.join("objects"), &e))
     }
 
@@ -256,8 +211,8 @@ impl Files {
 
     /// Removes what was uploaded for a job.
     pub fn remove_uploads(&self, job: &str) {
-        forget(&self.incoming(job));
-        forget(&self.uploads(job));
+        remove_folder(&self.incoming(job));
+        remove_folder(&self.uploads(job));
     }
 
     /// Names of the jobs that have uploads which nobody touched for `age`.
@@ -271,62 +226,30 @@ impl Files {
     }
 }
 
-fn entry(job: &str, artifact: &Artifact, bytes: u64, sha256: String) -> Entry {
-    let href = format!("/v1/jobs/{job}/artifacts/{}", utf8_percent_encode(&artifact.name, SEGMENT));
-    let Artifact { name, role, media_type, .. } = artifact;
-    Entry { name: name.clone(), role: role.clone(), media_type: media_type.clone(), bytes, sha256, href }
+/// The entries of a result's files, in the same order.
+pub fn entries(job: &str, artifacts: &[Artifact]) -> Vec<ArtifactEntry> {
+    let entry = |artifact: &Artifact| ArtifactEntry {
+        name: artifact.name.clone(),
+        role: artifact.role.clone(),
+        media_type: artifact.media_type.clone(),
+        bytes: artifact.bytes.len() as u64,
+        sha256: hex::encode(Sha256::digest(&artifact.bytes)),
+        href: format!("/v1/jobs/{job}/artifacts/{}", utf8_percent_encode(&artifact.name, SEGMENT)),
+    };
+    artifacts.iter().map(entry).collect()
 }
 
-/// An archive with fixed times, so that the same result has the same bytes.
-fn archive(path: &Path, artifacts: &[Artifact]) -> io::Result<()> {
-    let mut zip = zip::ZipWriter::new(io::BufWriter::new(fs::File::create_new(path)?));
-    for artifact in artifacts {
-        let packed = artifact.media_type.starts_with("image/");
-        let method = if packed { zip::CompressionMethod::Stored } else { zip::CompressionMethod::Deflated };
-        let options = SimpleFileOptions::default()
-            .compression_method(method)
-            .compression_level((!packed).then_some(1))
-            .last_modified_time(zip::DateTime::default())
-            .unix_permissions(0o644)
-            .large_file(artifact.bytes.len() as u64 >= u64::from(u32::MAX));
-        zip.start_file(artifact.name.as_str(), options).map_err(io::Error::other)?;
-        zip.write_all(&artifact.bytes)?;
-    }
-    let file = zip.finish().map_err(io::Error::other)?.into_inner().map_err(io::IntoInnerError::into_error)?;
-    file.sync_all()
-}
-
-/// Length and SHA-256 of a file.
-fn measure(path: &Path) -> io::Result<(u64, String)> {
-    let mut file = fs::File::open(path)?;
-    let mut hash = Sha256::new();
-    let mut buffer = vec![0; 1 << 16];
-    let mut length = 0u64;
-    loop {
-        let n = file.read(&mut buffer)?;
-        if n == 0 {
-            return Ok((length, hex::encode(hash.finalize())));
-        }
-        length += n as u64;
-        hash.update(buffer.get(..n).unwrap_or_default());
-    }
-}
-
-fn sync_folder(path: &Path) -> io::Result<()> {
+pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
     // Only Unix can open a folder and sync it; elsewhere the rename is durable by itself or not at all.
     if cfg!(unix) { fs::File::open(path)?.sync_all() } else { Ok(()) }
 }
 
-fn remove(path: &Path) -> io::Result<()> {
+fn remove_folder(path: &Path) {
     match fs::remove_dir_all(path) {
-        Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(()),
-        other => other,
-    }
-}
-
-fn forget(path: &Path) {
-    if let Err(error) = remove(path) {
-        tracing::warn!(path = %path.display(), %error, "could not remove a folder");
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            tracing::warn!(path = %path.display(), %error, "could not remove a folder");
+        }
+        _ => {}
     }
 }
 
@@ -338,6 +261,8 @@ pub fn disk(path: &Path, error: &io::Error) -> Failure {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     fn artifact(name: &str, bytes: &[u8]) -> Artifact {
@@ -345,34 +270,21 @@ mod tests {
     }
 
     #[test]
-    fn results_are_stored_by_their_contents_with_an_archive_of_the_same_bytes() {
+    fn results_are_stored_by_their_contents_each_once() {
         let root = tempfile::tempdir().unwrap();
         let files = Files::open(root.path()).unwrap();
         let artifacts = [artifact("a b/c.txt", b"one"), artifact("b.txt", b"two"), artifact("c.txt", b"two")];
-        let first = files.pack("j", 1, &artifacts).unwrap();
-        let second = files.pack("j", 2, &artifacts).unwrap();
-        assert_eq!(first.entries, second.entries);
-        for parcel in [&first, &second] {
-            files.store(parcel, &artifacts).unwrap();
+        let entries = entries("j", &artifacts);
+        for _ in 0..2 {
+            files.store(&entries, &artifacts).unwrap();
         }
-        let mut objects = files.objects();
-        objects.sort();
-        let mut hashes: Vec<String> = first.entries.iter().map(|e| e.sha256.clone()).collect();
-        hashes.sort();
-        hashes.dedup();
-        assert_eq!((objects.len(), &objects), (3, &hashes));
+        let hashes: BTreeSet<String> = entries.iter().map(|e| e.sha256.clone()).collect();
+        assert_eq!((files.objects().len(), files.objects().into_iter().collect()), (2, hashes));
         assert_eq!(fs::read_dir(files.incoming("")).unwrap().count(), 0);
-        let entries = first.entries;
-        assert_eq!(entries[0].href, "/v1/jobs/j/artifacts/a%20b%2Fc.txt");
-        assert_eq!(entries[3].name, ARCHIVE);
+        assert_eq!((entries[0].href.as_str(), entries[0].bytes), ("/v1/jobs/j/artifacts/a%20b%2Fc.txt", 3));
         assert_eq!(fs::read(files.object(&entries[1].sha256)).unwrap(), b"two");
-        let archive = fs::File::open(files.object(&entries[3].sha256)).unwrap();
-        let mut archive = zip::ZipArchive::new(archive).unwrap();
-        let mut text = String::new();
-        archive.by_name("b.txt").unwrap().read_to_string(&mut text).unwrap();
-        assert_eq!(text, "two");
         files.remove_object(&entries[1].sha256);
-        assert_eq!(files.objects().len(), 2);
+        assert_eq!(files.objects().len(), 1);
     }
 
     #[test]
@@ -382,19 +294,19 @@ mod tests {
         let (left, owner) = (other.incoming("j"), other.owner().to_owned());
         fs::create_dir_all(&left).unwrap();
         assert!(!files.worker_is_gone(&owner) && files.worker_is_gone("other"));
-        files.forget_workers();
-        assert!(files.worker(&owner).exists() && left.exists());
+        files.remove_dead_workers();
+        assert!(files.lock_file(&owner).exists() && left.exists());
         drop(other);
         assert!(files.worker_is_gone(&owner));
-        files.forget_workers();
-        assert!(!files.worker(&owner).exists() && !left.exists() && files.incoming("").exists());
+        files.remove_dead_workers();
+        assert!(!files.lock_file(&owner).exists() && !left.exists() && files.incoming("").exists());
     }
 
     #[test]
     fn uploads_are_whole_or_not_there() {
         let root = tempfile::tempdir().unwrap();
         let files = Files::open(root.path()).unwrap();
-        let stored = |path: &str, number| Stored { path: path.into(), number, sha256: String::new() };
+        let stored = |path: &str, number| UploadedFile { path: path.into(), number, sha256: String::new() };
         let manifest =
             Manifest { models: vec![stored("a.glb", 0), stored("b.glb", 1)], files: vec![stored("t.png", 2)] };
         fs::create_dir_all(files.incoming("j")).unwrap();

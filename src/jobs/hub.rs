@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{Notify, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::queue::{AHEAD, Standing};
-use super::record::State;
+use super::queue::{AttemptStatus, MAX_PROGRESS_LEAD};
+use super::record::JobState;
 use crate::context::{Listener, Progress};
 use crate::error::Warning;
 
@@ -17,32 +17,33 @@ const STEP: f64 = 0.002;
 
 /// Where a job of this process stands.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Live {
+pub struct LiveJob {
     /// Its state.
-    pub state: State,
+    pub state: JobState,
     /// Number of its attempt; 0 before the first.
     pub attempt: u32,
     /// Where the attempt stands.
-    pub now: Standing,
+    pub status: AttemptStatus,
 }
 
-struct Entry {
-    live: watch::Sender<Live>,
-    stop: Stop,
+/// A job of this process, for those who follow it and those who stop it.
+struct TrackedJob {
+    live: watch::Sender<LiveJob>,
+    stop: StopSignal,
 }
 
-/// Says an attempt that it shall stop: to what computes by a flag, to what waits by a token.
+/// Asks an attempt to stop: what computes by a flag, what waits by a token.
 #[derive(Clone, Default)]
-pub struct Stop {
+pub struct StopSignal {
     /// True when it shall stop.
     pub flag: Arc<AtomicBool>,
     /// Cancelled when it shall stop.
     pub token: CancellationToken,
 }
 
-impl Stop {
-    /// Says it.
-    pub fn now(&self) {
+impl StopSignal {
+    /// Asks for it.
+    pub fn trigger(&self) {
         self.flag.store(true, Ordering::Relaxed);
         self.token.cancel();
     }
@@ -51,30 +52,30 @@ impl Stop {
 /// The jobs of this process that are not final.
 #[derive(Default)]
 pub struct Hub {
-    jobs: Mutex<BTreeMap<String, Entry>>,
+    jobs: Mutex<BTreeMap<String, TrackedJob>>,
 }
 
 impl Hub {
     /// Registers a job that waits.
     pub fn queued(&self, job: &str) {
-        let live = Live { state: State::Queued, attempt: 0, now: Standing::default() };
-        let entry = Entry { live: watch::Sender::new(live), stop: Stop::default() };
-        self.lock().entry(job.to_owned()).or_insert(entry);
+        let live = LiveJob { state: JobState::Queued, attempt: 0, status: AttemptStatus::default() };
+        let tracked = TrackedJob { live: watch::Sender::new(live), stop: StopSignal::default() };
+        self.lock().entry(job.to_owned()).or_insert(tracked);
     }
 
     /// Registers that an attempt starts, whose fraction does not fall under `floor`.
     pub fn started(&self, job: &str, attempt: u32, floor: f64) -> Arc<Reporter> {
         self.queued(job);
         let mut jobs = self.lock();
-        let stop = Stop::default();
+        let stop = StopSignal::default();
         let progress = Progress { fraction: floor, ..Progress::default() };
-        let now = Standing { progress, ..Standing::default() };
-        let live = Live { state: State::Running, attempt, now };
+        let status = AttemptStatus { progress, ..AttemptStatus::default() };
+        let live = LiveJob { state: JobState::Running, attempt, status };
         let sender = match jobs.get_mut(job) {
-            Some(entry) => {
-                entry.stop = stop.clone();
-                entry.live.send_replace(live);
-                entry.live.clone()
+            Some(tracked) => {
+                tracked.stop = stop.clone();
+                tracked.live.send_replace(live);
+                tracked.live.clone()
             }
             None => watch::Sender::new(live),
         };
@@ -84,41 +85,41 @@ impl Hub {
     /// Registers that a job goes back to the queue.
     pub fn requeued(&self, job: &str) {
         self.queued(job);
-        if let Some(entry) = self.lock().get(job) {
-            entry.live.send_modify(|live| live.state = State::Queued);
+        if let Some(tracked) = self.lock().get(job) {
+            tracked.live.send_modify(|live| live.state = JobState::Queued);
         }
     }
 
     /// Registers that a job is final, and forgets it. Call it after the queue knows.
-    pub fn ended(&self, job: &str, state: State) {
-        if let Some(entry) = self.lock().remove(job) {
-            entry.live.send_modify(|live| live.state = state);
+    pub fn ended(&self, job: &str, state: JobState) {
+        if let Some(tracked) = self.lock().remove(job) {
+            tracked.live.send_modify(|live| live.state = state);
         }
     }
 
     /// Asks the job to stop, if it runs here.
     pub fn cancel(&self, job: &str) {
-        if let Some(entry) = self.lock().get(job) {
-            entry.stop.now();
+        if let Some(tracked) = self.lock().get(job) {
+            tracked.stop.trigger();
         }
     }
 
     /// Follows a job, if it is known here.
-    pub fn follow(&self, job: &str) -> Option<watch::Receiver<Live>> {
-        self.lock().get(job).map(|entry| entry.live.subscribe())
+    pub fn follow(&self, job: &str) -> Option<watch::Receiver<LiveJob>> {
+        self.lock().get(job).map(|tracked| tracked.live.subscribe())
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, Entry>> {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, TrackedJob>> {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Takes the reports of one attempt.
+/// Receives progress and warnings of one attempt.
 pub struct Reporter {
-    live: watch::Sender<Live>,
-    /// Says that the attempt shall stop.
-    pub stop: Stop,
-    /// Told when the fraction would run too far ahead of what is stored.
+    live: watch::Sender<LiveJob>,
+    /// Asks the attempt to stop.
+    pub stop: StopSignal,
+    /// Notified when the fraction would run too far ahead of what is stored.
     pub ahead: Notify,
     floor: f64,
     /// The fraction that the queue knows.
@@ -127,12 +128,10 @@ pub struct Reporter {
 
 impl Reporter {
     /// Where the attempt stands.
-    pub fn now(&self) -> Standing {
-        self.live.borrow().now.clone()
+    pub fn status(&self) -> AttemptStatus {
+        self.live.borrow().status.clone()
     }
-}
 
-impl Reporter {
     /// Notes that the queue knows this fraction.
     pub fn stored(&self, fraction: f64) {
         *self.stored.lock().unwrap_or_else(PoisonError::into_inner) = fraction;
@@ -141,29 +140,29 @@ impl Reporter {
 
 impl Listener for Reporter {
     fn progress(&self, progress: &Progress) {
-        let most = *self.stored.lock().unwrap_or_else(PoisonError::into_inner) + AHEAD;
+        let most = *self.stored.lock().unwrap_or_else(PoisonError::into_inner) + MAX_PROGRESS_LEAD;
         if progress.fraction > most {
             self.ahead.notify_one();
         }
         self.live.send_if_modified(|live| {
-            let old = &live.now.progress;
+            let old = &live.status.progress;
             let fraction = progress.fraction.min(most).max(self.floor).max(old.fraction).min(1.0);
             let moved = fraction - old.fraction >= STEP || (fraction >= 1.0 && old.fraction < 1.0);
-            let told = progress.stage != old.stage || progress.message != old.message;
-            if !(moved || told) {
+            let renamed = progress.stage != old.stage || progress.message != old.message;
+            if !(moved || renamed) {
                 return false;
             }
             let now = Progress { fraction, ..progress.clone() };
             if now.stage != old.stage && !now.stage.is_empty() {
-                live.now.stages.push(now.clone());
+                live.status.stages.push(now.clone());
             }
-            live.now.progress = now;
+            live.status.progress = now;
             true
         });
     }
 
     fn warning(&self, warning: &Warning) {
-        self.live.send_modify(|live| live.now.warnings.push(warning.clone()));
+        self.live.send_modify(|live| live.status.warnings.push(warning.clone()));
     }
 }
 
@@ -172,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn progress_never_falls_and_small_steps_stay_quiet() {
+    fn progress_never_falls_and_small_steps_are_not_passed_on() {
         let hub = Hub::default();
         let reporter = hub.started("j", 2, 0.4);
         let mut follower = hub.follow("j").unwrap();
@@ -180,18 +179,18 @@ mod tests {
         let at = |fraction: f64| Progress { fraction, ..Progress::default() };
         reporter.progress(&at(0.1));
         assert!(!follower.has_changed().unwrap());
-        assert_eq!(reporter.now().progress.fraction, 0.4);
+        assert_eq!(reporter.status().progress.fraction, 0.4);
         reporter.stored(0.4);
         reporter.progress(&at(0.5));
         assert!(follower.has_changed().unwrap());
         reporter.progress(&at(0.45));
-        assert_eq!(follower.borrow_and_update().now.progress.fraction, 0.5);
-        // What is not stored is not told: it would be lost with the process.
+        assert_eq!(follower.borrow_and_update().status.progress.fraction, 0.5);
+        // What is not stored is not shown: it would be lost with the process.
         reporter.progress(&at(0.9));
-        assert_eq!(reporter.now().progress.fraction, 0.4 + AHEAD);
+        assert_eq!(reporter.status().progress.fraction, 0.4 + MAX_PROGRESS_LEAD);
         reporter.stored(0.6);
         reporter.progress(&at(0.9));
-        assert_eq!(reporter.now().progress.fraction, 0.6 + AHEAD);
+        assert_eq!(reporter.status().progress.fraction, 0.6 + MAX_PROGRESS_LEAD);
     }
 
     #[test]
@@ -201,20 +200,20 @@ mod tests {
         for stage in ["read", "pack", "pack", "write"] {
             reporter.progress(&Progress { stage: stage.into(), ..Progress::default() });
         }
-        let stages: Vec<String> = reporter.now().stages.into_iter().map(|s| s.stage).collect();
+        let stages: Vec<String> = reporter.status().stages.into_iter().map(|s| s.stage).collect();
         assert_eq!(stages, ["read", "pack", "write"]);
     }
 
     #[test]
-    fn followers_hear_the_end() {
+    fn followers_see_the_end() {
         let hub = Hub::default();
         hub.queued("j");
         let reporter = hub.started("j", 1, 0.0);
         let mut follower = hub.follow("j").unwrap();
         hub.cancel("j");
         assert!(reporter.stop.flag.load(Ordering::Relaxed) && reporter.stop.token.is_cancelled());
-        hub.ended("j", State::Canceled);
-        assert_eq!(follower.borrow_and_update().state, State::Canceled);
+        hub.ended("j", JobState::Canceled);
+        assert_eq!(follower.borrow_and_update().state, JobState::Canceled);
         assert!(hub.follow("j").is_none());
     }
 }

@@ -5,19 +5,19 @@
 
 pub mod files;
 pub mod hub;
+mod maintenance;
 pub mod queue;
 pub mod record;
 pub mod slots;
+mod stored_options;
 mod system;
 pub mod telemetry;
-mod upkeep;
 mod worker;
 
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use serde_json::Value;
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
@@ -25,16 +25,15 @@ use tokio_util::sync::CancellationToken;
 use self::telemetry::Telemetry;
 use crate::config::{Limits, Work};
 use crate::error::{Code, Failure, Result};
-use crate::refine::options::Options;
 use files::Files;
 use hub::Hub;
 use queue::sqlite::Sqlite;
-use queue::{Canceled, NewJob, Queue, Submitted};
-use record::{Entry, Job, State};
+use queue::{CancelReply, NewJob, Queue, Submitted};
+use record::{ArtifactEntry, Job, JobState};
 use slots::Slots;
 
-/// How often a job that this process does not run is looked at.
-const LOOK: Duration = Duration::from_millis(500);
+/// How often a job that this process does not run is polled.
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
 /// The jobs of a service.
 pub struct Jobs {
@@ -48,7 +47,7 @@ pub struct Jobs {
     pub limits: Limits,
     /// Ends workers and streams.
     pub shutdown: CancellationToken,
-    /// Room for running jobs.
+    /// Capacity for running jobs.
     pub slots: Arc<Slots>,
     /// What is counted.
     pub telemetry: Telemetry,
@@ -65,6 +64,7 @@ impl Jobs {
     pub async fn open(data: &Path, work: &Work, limits: Limits) -> Result<Arc<Self>> {
         let files = Files::open(data)?;
         let queue = Sqlite::open(&files.queue()).await?;
+        tracing::info!(store = queue.identity().await?, "the job queue is open");
         let jobs = Jobs {
             queue: Box::new(queue),
             files,
@@ -78,7 +78,7 @@ impl Jobs {
             wake: Notify::new(),
         };
         jobs.recover().await?;
-        jobs.files.forget_workers();
+        jobs.files.remove_dead_workers();
         jobs.collect(None, true).await?;
         Ok(Arc::new(jobs))
     }
@@ -105,12 +105,12 @@ impl Jobs {
                 Ok((self.get(id).await?, false))
             }
             Ok(Submitted::Known(known)) => {
-                self.hub.ended(id, State::Canceled);
+                self.hub.ended(id, JobState::Canceled);
                 self.files.remove_uploads(id);
                 Ok((self.get(&known).await?, true))
             }
             Err(failure) => {
-                self.hub.ended(id, State::Canceled);
+                self.hub.ended(id, JobState::Canceled);
                 self.files.remove_uploads(id);
                 Err(failure)
             }
@@ -122,16 +122,16 @@ impl Jobs {
     /// # Errors
     /// `not_found`, `internal`.
     pub async fn get(&self, id: &str) -> Result<Job> {
-        // The listener first, the job second: one that ends in between is still heard of. What is stored may be behind it.
+        // Subscribed first, read second: an end in between is still seen. What is stored may be behind what is live.
         let live = self.hub.follow(id);
         let mut job = self.queue.get(id).await?.ok_or_else(|| unknown(id))?;
-        if job.state == State::Running
+        if job.state == JobState::Running
             && let Some(live) = live.map(|f| f.borrow().clone())
             && live.attempt == job.attempt
         {
-            job.progress = live.now.progress;
-            job.stages = live.now.stages;
-            job.warnings = live.now.warnings;
+            job.progress = live.status.progress;
+            job.stages = live.status.stages;
+            job.warnings = live.status.warnings;
         }
         Ok(job)
     }
@@ -140,10 +140,10 @@ impl Jobs {
     ///
     /// # Errors
     /// `not_found`, `internal`.
-    pub async fn settled(&self, id: &str, limit: Duration) -> Result<Job> {
+    pub async fn wait_until_final(&self, id: &str, limit: Duration) -> Result<Job> {
         let until = Instant::now() + limit;
         loop {
-            // The listener first, the job second: what happens in between is then not missed.
+            // Subscribed first, read second: what happens in between is then not missed.
             let live = self.hub.follow(id);
             let job = self.get(id).await?;
             if job.state.is_final() || Instant::now() >= until || self.shutdown.is_cancelled() {
@@ -158,7 +158,7 @@ impl Jobs {
             tokio::select! {
                 () = ends => {}
                 // Another process may run it.
-                () = sleep(LOOK) => {}
+                () = sleep(POLL_INTERVAL) => {}
                 () = sleep_until(until) => {}
                 () = self.shutdown.cancelled() => {}
             }
@@ -171,27 +171,27 @@ impl Jobs {
     /// `internal`.
     pub async fn waiting(&self) -> Result<u64> {
         let counts = self.queue.counts().await?;
-        Ok(counts.iter().find(|c| c.0 == State::Queued).map_or(0, |c| c.1))
+        Ok(counts.iter().find(|c| c.0 == JobState::Queued).map_or(0, |c| c.1))
     }
 
-    /// Cancels a job: at once when it waits, as soon as it listens when it runs.
+    /// Cancels a job: at once when it waits, as soon as it checks when it runs.
     ///
     /// # Errors
     /// `not_found`, `conflict` when it is final, `internal`.
     pub async fn cancel(&self, id: &str) -> Result<Job> {
         match self.queue.cancel(id).await? {
-            Canceled::Unknown => return Err(unknown(id)),
-            Canceled::Final => return Err(Failure::new(Code::Conflict, "the job has ended; its state is final")),
-            Canceled::Asked => self.hub.cancel(id),
-            Canceled::AtOnce => {
-                self.hub.ended(id, State::Canceled);
+            CancelReply::Unknown => return Err(unknown(id)),
+            CancelReply::Final => return Err(Failure::new(Code::Conflict, "the job has ended; its state is final")),
+            CancelReply::Asked => self.hub.cancel(id),
+            CancelReply::AtOnce => {
+                self.hub.ended(id, JobState::Canceled);
                 self.files.remove_uploads(id);
             }
         }
         self.get(id).await
     }
 
-    /// Forgets a job and removes its files; stops it when it runs.
+    /// Deletes a job and removes its files; stops it when it runs.
     ///
     /// # Errors
     /// `not_found`, `internal`.
@@ -200,7 +200,7 @@ impl Jobs {
             return Err(unknown(id));
         }
         self.hub.cancel(id);
-        self.hub.ended(id, State::Canceled);
+        self.hub.ended(id, JobState::Canceled);
         self.files.remove_uploads(id);
         self.collect(Some(id), false).await
     }
@@ -209,9 +209,9 @@ impl Jobs {
     ///
     /// # Errors
     /// `not_found`, `gone`, `internal`.
-    pub async fn artifact(&self, id: &str, name: &str) -> Result<(Entry, std::path::PathBuf)> {
+    pub async fn artifact(&self, id: &str, name: &str) -> Result<(ArtifactEntry, std::path::PathBuf)> {
         let job = self.queue.get(id).await?.ok_or_else(|| unknown(id))?;
-        let removed = job.artifacts_expire_at.is_some_and(|at| at <= record::Moment::now());
+        let removed = job.artifacts_expire_at.is_some_and(|at| at <= record::Timestamp::now());
         let found = job.artifacts.into_iter().find(|e| e.name == name).map(|e| (self.files.object(&e.sha256), e));
         match found {
             None => Err(Failure::new(Code::NotFound, format!("the job has no artifact `{name}`"))),
@@ -219,11 +219,6 @@ impl Jobs {
             Some((path, entry)) => Ok((entry, path)),
         }
     }
-}
-
-/// The options of a job as its row holds them.
-fn stored_options(value: &Value) -> Result<Options> {
-    serde_json::from_value(value.clone()).map_err(|e| Failure::internal(format!("the stored options are broken: {e}")))
 }
 
 fn unknown(id: &str) -> Failure {

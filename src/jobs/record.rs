@@ -8,12 +8,12 @@ use utoipa::ToSchema;
 
 use crate::context::{Progress, Timing};
 use crate::error::{Code, Failure, Warning};
+use crate::metrics::Unmet;
 
 /// Where a job stands. A final state never changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
-#[schema(as = JobState)]
-pub enum State {
+pub enum JobState {
     /// Waits for a worker.
     Queued,
     /// A worker computes it.
@@ -28,57 +28,63 @@ pub enum State {
     Expired,
 }
 
-impl State {
+impl JobState {
     /// All states.
-    pub const ALL: [State; 6] =
-        [State::Queued, State::Running, State::Succeeded, State::Failed, State::Canceled, State::Expired];
+    pub const ALL: [JobState; 6] = [
+        JobState::Queued,
+        JobState::Running,
+        JobState::Succeeded,
+        JobState::Failed,
+        JobState::Canceled,
+        JobState::Expired,
+    ];
 
     /// The name in JSON and in the queue.
     pub fn as_str(self) -> &'static str {
         match self {
-            State::Queued => "queued",
-            State::Running => "running",
-            State::Succeeded => "succeeded",
-            State::Failed => "failed",
-            State::Canceled => "canceled",
-            State::Expired => "expired",
+            JobState::Queued => "queued",
+            JobState::Running => "running",
+            JobState::Succeeded => "succeeded",
+            JobState::Failed => "failed",
+            JobState::Canceled => "canceled",
+            JobState::Expired => "expired",
         }
     }
 
     /// The state of that name.
-    pub fn from_name(name: &str) -> Option<State> {
+    pub fn from_name(name: &str) -> Option<JobState> {
         Self::ALL.into_iter().find(|s| s.as_str() == name)
     }
 
     /// Whether it never changes again.
     pub fn is_final(self) -> bool {
-        !matches!(self, State::Queued | State::Running)
+        !matches!(self, JobState::Queued | JobState::Running)
     }
 }
 
-/// A moment in milliseconds since 1970, UTC; RFC 3339 in JSON.
+/// Milliseconds since 1970, UTC; RFC 3339 in JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ToSchema)]
 #[schema(value_type = String, format = DateTime)]
-pub struct Moment(pub i64);
+pub struct Timestamp(pub i64);
 
-impl Moment {
+impl Timestamp {
     /// The present.
     pub fn now() -> Self {
-        Moment((OffsetDateTime::now_utc().unix_timestamp_nanos() / 1_000_000) as i64)
+        Timestamp((OffsetDateTime::now_utc().unix_timestamp_nanos() / 1_000_000) as i64)
     }
 
-    /// This moment and `span` more.
+    /// This time and `span` more.
     pub fn plus(self, span: std::time::Duration) -> Self {
-        Moment(self.0.saturating_add(i64::try_from(span.as_millis()).unwrap_or(i64::MAX)))
+        Timestamp(self.0.saturating_add(i64::try_from(span.as_millis()).unwrap_or(i64::MAX)))
     }
 
-    /// This moment and `span` less.
+    /// This time and `span` less.
     pub fn minus(self, span: std::time::Duration) -> Self {
-        Moment(self.0.saturating_sub(i64::try_from(span.as_millis()).unwrap_or(i64::MAX)))
+        Timestamp(self.0.saturating_sub(i64::try_from(span.as_millis()).unwrap_or(i64::MAX)))
     }
 }
 
-impl std::fmt::Display for Moment {
+impl std::fmt::Display for Timestamp {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let time = OffsetDateTime::from_unix_timestamp_nanos(i128::from(self.0) * 1_000_000);
         let text = time.ok().and_then(|t| t.format(&Rfc3339).ok());
@@ -86,7 +92,7 @@ impl std::fmt::Display for Moment {
     }
 }
 
-impl Serialize for Moment {
+impl Serialize for Timestamp {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(self)
     }
@@ -98,7 +104,7 @@ pub struct Job {
     /// 128 random bits in hexadecimal digits. Knowing it is the right to read the job.
     pub id: String,
     /// Where it stands.
-    pub state: State,
+    pub state: JobState,
     /// The recipe of its options.
     pub recipe: Value,
     /// Its options, all defaults filled in.
@@ -111,14 +117,14 @@ pub struct Job {
     /// How often it was started.
     pub attempt: u32,
     /// When it was accepted.
-    pub created_at: Moment,
+    pub created_at: Timestamp,
     /// When its last attempt started.
-    pub started_at: Option<Moment>,
+    pub started_at: Option<Timestamp>,
     /// When it reached its final state.
-    pub finished_at: Option<Moment>,
+    pub finished_at: Option<Timestamp>,
     /// When its artifacts are removed.
-    pub artifacts_expire_at: Option<Moment>,
-    /// The stages that the attempt has entered, each with the progress at that moment.
+    pub artifacts_expire_at: Option<Timestamp>,
+    /// The stages that the attempt has entered, each with the progress at that time.
     #[serde(skip)]
     pub stages: Vec<Progress>,
     /// Seconds by stage.
@@ -128,7 +134,7 @@ pub struct Job {
     /// Why it failed.
     pub error: Option<JobError>,
     /// Its results.
-    pub artifacts: Vec<Entry>,
+    pub artifacts: Vec<ArtifactEntry>,
     /// The `metadata` of its options.
     pub metadata: Value,
 }
@@ -143,7 +149,7 @@ pub struct JobError {
     /// JSON pointer into the glTF document or the options.
     pub pointer: Option<String>,
     /// The requirements that are not met.
-    pub failures: Vec<Missed>,
+    pub failures: Vec<Unmet>,
 }
 
 impl From<Failure> for JobError {
@@ -152,22 +158,10 @@ impl From<Failure> for JobError {
     }
 }
 
-/// A requirement that is not met.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[schema(as = UnmetRequirement)]
-pub struct Missed {
-    /// Dotted path into the report.
-    pub path: String,
-    /// What was asked.
-    pub wanted: String,
-    /// What was reached; null where the figure is not defined.
-    pub got: Option<f64>,
-}
-
 /// One file of a result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(as = Artifact)]
-pub struct Entry {
+pub struct ArtifactEntry {
     /// File name.
     pub name: String,
     /// What it is: model, report, texture, picture, archive, …
@@ -197,17 +191,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn moments_are_rfc_3339_in_utc() {
-        assert_eq!(Moment(1_700_000_000_250).to_string(), "2023-11-14T22:13:20.25Z");
-        assert_eq!(Moment(i64::MAX).to_string(), "9999-12-31T23:59:59Z");
+    fn timestamps_are_rfc_3339_in_utc() {
+        assert_eq!(Timestamp(1_700_000_000_250).to_string(), "2023-11-14T22:13:20.25Z");
+        assert_eq!(Timestamp(i64::MAX).to_string(), "9999-12-31T23:59:59Z");
     }
 
     #[test]
     fn states_keep_their_names() {
-        for state in State::ALL {
-            assert_eq!(State::from_name(state.as_str()), Some(state));
+        for state in JobState::ALL {
+            assert_eq!(JobState::from_name(state.as_str()), Some(state));
             assert_eq!(serde_json::to_value(state).unwrap(), state.as_str());
         }
-        assert!(!State::Queued.is_final() && !State::Running.is_final() && State::Expired.is_final());
+        assert!(!JobState::Queued.is_final() && !JobState::Running.is_final() && JobState::Expired.is_final());
     }
 }

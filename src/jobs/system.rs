@@ -1,12 +1,12 @@
 //! What a service asks of its operating system, and no crate here does.
 #![expect(unsafe_code, reason = "functions of the C library that take numbers only")]
 
-/// Nice level of threads that compute: those that answer go first where cores are few.
+/// Nice level of threads that compute: those that serve requests go first where cores are few.
 #[cfg(target_os = "linux")]
 const NICE: std::ffi::c_int = 10;
 
-/// Lets the threads that answer go before the calling one.
-pub(super) fn step_back() {
+/// Lowers the priority of the calling thread below that of the threads that serve requests.
+pub(super) fn lower_thread_priority() {
     #[cfg(target_os = "linux")]
     {
         unsafe extern "C" {
@@ -18,7 +18,7 @@ pub(super) fn step_back() {
 }
 
 /// Gives memory that the allocator keeps for later back to the system: jobs need a lot of it, and seldom.
-pub(super) fn give_memory_back() {
+pub(super) fn return_free_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
         unsafe extern "C" {

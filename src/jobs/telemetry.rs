@@ -6,14 +6,14 @@ use prometheus::{
     Encoder, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry, TextEncoder,
 };
 
-use super::queue::End;
-use super::record::State;
+use super::queue::AttemptEnd;
+use super::record::JobState;
 use crate::error::{Failure, Result};
 
 /// Upper bounds of the buckets of job and stage times, in seconds.
-const WORK: &[f64] = &[0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
-/// The same of answers.
-const ANSWERS: &[f64] = &[0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0, 5.0];
+const JOB_BUCKETS: &[f64] = &[0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
+/// The same of response times.
+const RESPONSE_BUCKETS: &[f64] = &[0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0, 5.0];
 
 /// The figures of one service.
 pub struct Telemetry {
@@ -22,8 +22,8 @@ pub struct Telemetry {
     ended: IntCounterVec,
     job_seconds: HistogramVec,
     stage_seconds: HistogramVec,
-    answers: IntCounterVec,
-    answer_seconds: HistogramVec,
+    responses: IntCounterVec,
+    response_seconds: HistogramVec,
     slots: IntGauge,
     memory: IntGauge,
     /// Bytes that were uploaded.
@@ -38,10 +38,10 @@ impl Telemetry {
     /// # Errors
     /// `internal`, should a name not be valid.
     pub fn new() -> Result<Self> {
-        Self::made().map_err(|e| Failure::internal(format!("the metrics are broken: {e}")))
+        Self::register().map_err(|e| Failure::internal(format!("the metrics are broken: {e}")))
     }
 
-    fn made() -> prometheus::Result<Self> {
+    fn register() -> prometheus::Result<Self> {
         let registry = Registry::new();
         let opts = |name: &str, help: &str| Opts::new(format!("intarsia_{name}"), help);
         let histogram = |name: &str, help: &str, buckets: &[f64], labels: &[&str]| {
@@ -69,13 +69,18 @@ impl Telemetry {
                 "Attempts that this process ended, by state and code of the error",
                 &["state", "code"],
             )?,
-            job_seconds: histogram("job_seconds", "Seconds from the start of an attempt to its end", WORK, &["state"])?,
-            stage_seconds: histogram("stage_seconds", "Seconds of a stage", WORK, &["stage"])?,
-            answers: counters("http_requests_total", "Requests answered", &["method", "route", "status"])?,
-            answer_seconds: histogram(
+            job_seconds: histogram(
+                "job_seconds",
+                "Seconds from the start of an attempt to its end",
+                JOB_BUCKETS,
+                &["state"],
+            )?,
+            stage_seconds: histogram("stage_seconds", "Seconds of a stage", JOB_BUCKETS, &["stage"])?,
+            responses: counters("http_requests_total", "Requests answered", &["method", "route", "status"])?,
+            response_seconds: histogram(
                 "http_request_seconds",
                 "Seconds until the head of an answer",
-                ANSWERS,
+                RESPONSE_BUCKETS,
                 &["method", "route"],
             )?,
             slots: gauge("jobs_running", "Jobs that this process runs")?,
@@ -87,7 +92,7 @@ impl Telemetry {
     }
 
     /// Counts the end of an attempt.
-    pub fn ended(&self, end: &End, took: Duration) {
+    pub fn record_attempt(&self, end: &AttemptEnd, took: Duration) {
         let code = end.error.as_ref().map_or("", |e| e.code.as_str());
         self.ended.with_label_values(&[end.state.as_str(), code]).inc();
         self.job_seconds.with_label_values(&[end.state.as_str()]).observe(took.as_secs_f64());
@@ -97,19 +102,19 @@ impl Telemetry {
         self.published.inc_by(end.artifacts.iter().map(|a| a.bytes).sum());
     }
 
-    /// Counts an answer. `route` is the pattern, not the path.
-    pub fn answered(&self, method: &str, route: &str, status: u16, took: Duration) {
-        self.answers.with_label_values(&[method, route, status.to_string().as_str()]).inc();
-        self.answer_seconds.with_label_values(&[method, route]).observe(took.as_secs_f64());
+    /// Counts a response. `route` is the pattern, not the path.
+    pub fn record_response(&self, method: &str, route: &str, status: u16, took: Duration) {
+        self.responses.with_label_values(&[method, route, status.to_string().as_str()]).inc();
+        self.response_seconds.with_label_values(&[method, route]).observe(took.as_secs_f64());
     }
 
     /// The text that Prometheus reads, with how the queue and the slots are now.
     ///
     /// # Errors
     /// `internal`.
-    pub fn text(&self, counts: &[(State, u64)], (slots, memory): (usize, u64)) -> Result<String> {
+    pub fn text(&self, counts: &[(JobState, u64)], (slots, memory): (usize, u64)) -> Result<String> {
         let whole = |n: u64| i64::try_from(n).unwrap_or(i64::MAX);
-        for state in State::ALL {
+        for state in JobState::ALL {
             let count = counts.iter().find(|c| c.0 == state).map_or(0, |c| c.1);
             self.jobs.with_label_values(&[state.as_str()]).set(whole(count));
         }

@@ -12,14 +12,16 @@ use crate::metrics::Requirement;
 
 /// A requirement that is not met.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(as = UnmetRequirement)]
 pub struct Unmet {
-    /// The path as the user wrote it.
+    /// Dotted path into the report.
     pub path: String,
-    /// What was asked, in words: `min 0.8`.
+    /// What was asked.
     pub wanted: String,
-    /// What was found; null where the figure is undefined.
+    /// What was reached; null where the figure is not defined.
     pub got: Option<f64>,
-    /// Which atlas it was found in, or why it is undefined.
+    /// Which atlas it was found in, or why it is undefined: for the command line; the contract does not have it.
+    #[serde(skip)]
     pub detail: Option<String>,
 }
 

@@ -54,11 +54,19 @@ pub struct Problem {
     pub pointer: String,
     /// One sentence for a person.
     pub message: String,
+    /// Whether the pointer names a key that is not known.
+    #[serde(skip)]
+    pub unknown_key: bool,
 }
 
 impl Problem {
-    fn new(pointer: impl Into<String>, message: impl Into<String>) -> Self {
-        Problem { pointer: pointer.into(), message: message.into() }
+    /// What is wrong at `pointer`.
+    pub fn new(pointer: impl Into<String>, message: impl Into<String>) -> Self {
+        Problem { pointer: pointer.into(), message: message.into(), unknown_key: false }
+    }
+
+    fn unknown_key(pointer: impl Into<String>, message: impl Into<String>) -> Self {
+        Problem { unknown_key: true, ..Problem::new(pointer, message) }
     }
 }
 
@@ -288,7 +296,7 @@ fn stage(value: &Value, pointer: &str, job: &Map<String, Value>, problems: &mut 
         let at = child(pointer, key);
         let own = keys(&Pack::default()).iter().any(|k| k == key);
         let hint = if own { "; its parameters stand in `pack`, beside the recipe" } else { "" };
-        problems.push(Problem::new(at, format!("stage `{name}` has no parameter `{key}`{hint}")));
+        problems.push(Problem::unknown_key(at, format!("stage `{name}` has no parameter `{key}`{hint}")));
     }
     if problems.len() > before {
         return None;
@@ -338,7 +346,7 @@ fn unknown(pointer: &str, key: &str, known: &[String]) -> Problem {
         Some(near) => format!("did you mean `{near}`?"),
         None => format!("known here: {}", known.join(", ")),
     };
-    Problem::new(pointer, format!("unknown option `{}`; {hint}", short(key)))
+    Problem::unknown_key(pointer, format!("unknown option `{}`; {hint}", short(key)))
 }
 
 /// The value as `T`, or where and why it is not one.

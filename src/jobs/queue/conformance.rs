@@ -7,7 +7,7 @@ use serde_json::json;
 use super::*;
 
 const LEASE: Duration = Duration::from_secs(60);
-const NOBODY: Remove<'static> = &|object| panic!("{object} is needed");
+const UNEXPECTED: Remove<'static> = &|object| panic!("{object} is still needed");
 
 /// Runs all checks, each on a fresh queue.
 pub(in crate::jobs) async fn suite<Q: Queue + 'static>(mut make: impl AsyncFnMut() -> Q) {
@@ -19,10 +19,11 @@ pub(in crate::jobs) async fn suite<Q: Queue + 'static>(mut make: impl AsyncFnMut
     a_full_queue_takes_no_more_and_old_jobs_expire(&make().await).await;
     a_key_names_one_request(&make().await).await;
     many_requests_of_one_key_make_one_job(Arc::new(make().await)).await;
-    large_jobs_wait_for_room_but_not_for_ever(&make().await).await;
+    large_jobs_wait_for_capacity_but_not_for_ever(&make().await).await;
     objects_live_as_long_as_somebody_needs_them(&make().await).await;
-    what_a_job_was_told_is_kept(&make().await).await;
+    progress_stages_and_warnings_are_kept(&make().await).await;
     pages_hold_every_job_once(&make().await).await;
+    every_store_has_an_identity_of_its_own(&make().await, &make().await).await;
 }
 
 fn new(id: &str) -> NewJob {
@@ -34,18 +35,18 @@ async fn submit(queue: &impl Queue, id: &str) {
 }
 
 async fn claim(queue: &impl Queue, owner: &str) -> Option<Claim> {
-    queue.claim(owner, LEASE, Room::ANY).await.unwrap()
+    queue.claim(owner, LEASE, Capacity::ANY).await.unwrap()
 }
 
-fn ended(state: State) -> End {
+fn ended(state: JobState) -> AttemptEnd {
     let progress = Progress { fraction: 1.0, ..Progress::default() };
-    let standing = Standing { progress, ..Standing::default() };
-    End { state, error: None, artifacts: Vec::new(), standing, timings: Vec::new() }
+    let status = AttemptStatus { progress, ..AttemptStatus::default() };
+    AttemptEnd { state, error: None, artifacts: Vec::new(), status, timings: Vec::new() }
 }
 
-fn entry(sha256: &str) -> Entry {
+fn entry(sha256: &str) -> ArtifactEntry {
     let text = String::new;
-    Entry { name: "a".into(), role: text(), media_type: text(), bytes: 1, sha256: sha256.into(), href: text() }
+    ArtifactEntry { name: "a".into(), role: text(), media_type: text(), bytes: 1, sha256: sha256.into(), href: text() }
 }
 
 async fn every_job_is_claimed_once_and_in_order<Q: Queue + 'static>(queue: Arc<Q>) {
@@ -70,26 +71,26 @@ async fn every_job_is_claimed_once_and_in_order<Q: Queue + 'static>(queue: Arc<Q
     }
     all.sort();
     assert_eq!(all, (0..40).map(|n| format!("{n:02}")).collect::<Vec<_>>());
-    assert_eq!(queue.counts().await, Ok(vec![(State::Running, 40)]));
+    assert_eq!(queue.counts().await, Ok(vec![(JobState::Running, 40)]));
 }
 
 async fn a_worker_that_lost_its_job_changes_nothing(queue: &impl Queue) {
     submit(queue, "j").await;
     let stale = claim(queue, "a").await.unwrap();
     assert_eq!(queue.owners().await, Ok(vec!["a".to_owned()]));
-    assert_eq!(queue.recover(Some("a")).await.unwrap(), [("j".to_owned(), State::Queued)]);
+    assert_eq!(queue.recover(Some("a")).await.unwrap(), [("j".to_owned(), JobState::Queued)]);
     let fresh = claim(queue, "b").await.unwrap();
     assert_eq!((stale.attempt, fresh.attempt), (1, 2));
-    let now = Standing::default();
-    assert_eq!(queue.beat(&stale, LEASE, &now).await, Ok(Beat::Lost));
+    let now = AttemptStatus::default();
+    assert_eq!(queue.heartbeat(&stale, LEASE, &now).await, Ok(HeartbeatReply::Lost));
     assert_eq!(queue.reserve(&stale, &["x".into()]).await, Ok(false));
-    assert_eq!(queue.finish(&stale, &ended(State::Succeeded), LEASE).await, Ok(false));
+    assert_eq!(queue.finish(&stale, &ended(JobState::Succeeded), LEASE).await, Ok(false));
     assert_eq!(queue.release(&stale, &Progress::default()).await, Ok(false));
-    assert_eq!(queue.beat(&fresh, LEASE, &now).await, Ok(Beat::Held));
-    assert_eq!(queue.finish(&fresh, &ended(State::Succeeded), LEASE).await, Ok(true));
-    assert_eq!(queue.finish(&fresh, &ended(State::Failed), LEASE).await, Ok(false));
+    assert_eq!(queue.heartbeat(&fresh, LEASE, &now).await, Ok(HeartbeatReply::Held));
+    assert_eq!(queue.finish(&fresh, &ended(JobState::Succeeded), LEASE).await, Ok(true));
+    assert_eq!(queue.finish(&fresh, &ended(JobState::Failed), LEASE).await, Ok(false));
     let job = queue.get("j").await.unwrap().unwrap();
-    assert_eq!((job.state, job.attempt, job.metadata["a"].as_i64()), (State::Succeeded, 2, Some(1)));
+    assert_eq!((job.state, job.attempt, job.metadata["a"].as_i64()), (JobState::Succeeded, 2, Some(1)));
 }
 
 async fn a_job_that_is_handed_back_keeps_its_turn(queue: &impl Queue) {
@@ -113,10 +114,10 @@ async fn a_silent_worker_loses_its_job_which_waits_behind_the_others_and_is_give
         if death > 1 {
             assert_eq!(claim(queue, "a").await.unwrap().id, "other");
         }
-        let claim = queue.claim("a", Duration::ZERO, Room::ANY).await.unwrap().unwrap();
+        let claim = queue.claim("a", Duration::ZERO, Capacity::ANY).await.unwrap().unwrap();
         assert_eq!((claim.id.as_str(), claim.attempt), ("j", death));
         tokio::time::sleep(Duration::from_millis(5)).await;
-        let wanted = if death < MAX_DEATHS { State::Queued } else { State::Failed };
+        let wanted = if death < MAX_DEATHS { JobState::Queued } else { JobState::Failed };
         assert_eq!(queue.recover(None).await.unwrap(), [("j".to_owned(), wanted)]);
     }
     let job = queue.get("j").await.unwrap().unwrap();
@@ -129,24 +130,24 @@ async fn cancelling_waits_for_nobody_and_wins_over_a_late_result(queue: &impl Qu
     submit(queue, "waits").await;
     let claim = claim(queue, "a").await.unwrap();
     assert_eq!(queue.get("waits").await.unwrap().unwrap().queue_position, Some(1));
-    assert_eq!(queue.cancel("waits").await, Ok(Canceled::AtOnce));
-    assert_eq!(queue.cancel("waits").await, Ok(Canceled::Final));
-    assert_eq!(queue.cancel("none").await, Ok(Canceled::Unknown));
-    assert_eq!(queue.cancel("runs").await, Ok(Canceled::Asked));
-    assert_eq!(queue.beat(&claim, LEASE, &Standing::default()).await, Ok(Beat::Cancel));
+    assert_eq!(queue.cancel("waits").await, Ok(CancelReply::AtOnce));
+    assert_eq!(queue.cancel("waits").await, Ok(CancelReply::Final));
+    assert_eq!(queue.cancel("none").await, Ok(CancelReply::Unknown));
+    assert_eq!(queue.cancel("runs").await, Ok(CancelReply::Asked));
+    assert_eq!(queue.heartbeat(&claim, LEASE, &AttemptStatus::default()).await, Ok(HeartbeatReply::Cancel));
     assert_eq!(queue.reserve(&claim, &["x".into()]).await, Ok(false));
-    assert_eq!(queue.finish(&claim, &ended(State::Succeeded), LEASE).await, Ok(false));
-    assert_eq!(queue.finish(&claim, &ended(State::Canceled), LEASE).await, Ok(true));
+    assert_eq!(queue.finish(&claim, &ended(JobState::Succeeded), LEASE).await, Ok(false));
+    assert_eq!(queue.finish(&claim, &ended(JobState::Canceled), LEASE).await, Ok(true));
 }
 
 async fn a_full_queue_takes_no_more_and_old_jobs_expire(queue: &impl Queue) {
     submit(queue, "a").await;
     assert_eq!(queue.submit(&new("b"), 1).await.unwrap_err().code, Code::QueueFull);
-    assert_eq!(queue.expire(Moment::now().minus(LEASE)).await.unwrap(), []);
+    assert_eq!(queue.expire(Timestamp::now().minus(LEASE)).await.unwrap(), []);
     assert_eq!(queue.needs_upload("a").await, Ok(true));
-    assert_eq!(queue.expire(Moment::now().plus(LEASE)).await.unwrap(), [("a".to_owned(), State::Expired)]);
+    assert_eq!(queue.expire(Timestamp::now().plus(LEASE)).await.unwrap(), [("a".to_owned(), JobState::Expired)]);
     assert_eq!(queue.needs_upload("a").await, Ok(false));
-    assert_eq!(queue.forget(Moment::now().plus(LEASE)).await, Ok(1));
+    assert_eq!(queue.purge(Timestamp::now().plus(LEASE)).await, Ok(1));
     assert!(queue.get("a").await.unwrap().is_none());
     assert_eq!(queue.delete("a").await, Ok(false));
 }
@@ -154,7 +155,7 @@ async fn a_full_queue_takes_no_more_and_old_jobs_expire(queue: &impl Queue) {
 async fn a_key_names_one_request(queue: &impl Queue) {
     let keyed = |id: &str, print: &str| NewJob { key: Some(("k".into(), print.into())), ..new(id) };
     assert_eq!(queue.submit(&keyed("a", "1"), 1).await, Ok(Submitted::New));
-    // What is known is told even where nothing more is taken.
+    // What is known is answered even where nothing more is taken.
     assert_eq!(queue.submit(&keyed("b", "1"), 1).await, Ok(Submitted::Known("a".into())));
     assert_eq!(queue.submit(&keyed("b", "2"), 9).await.unwrap_err().code, Code::IdempotencyMismatch);
     assert!(queue.get("b").await.unwrap().is_none());
@@ -177,26 +178,26 @@ async fn many_requests_of_one_key_make_one_job<Q: Queue + 'static>(queue: Arc<Q>
     for request in requests {
         made += u32::from(request.await.unwrap() == Submitted::New);
     }
-    assert_eq!((made, queue.counts().await.unwrap()), (1, vec![(State::Queued, 1)]));
+    assert_eq!((made, queue.counts().await.unwrap()), (1, vec![(JobState::Queued, 1)]));
 }
 
-async fn large_jobs_wait_for_room_but_not_for_ever(queue: &impl Queue) {
+async fn large_jobs_wait_for_capacity_but_not_for_ever(queue: &impl Queue) {
     for (id, memory) in [("huge", 500), ("large", 80), ("small", 10), ("tiny", 1)] {
         assert_eq!(queue.submit(&NewJob { memory, ..new(id) }, 100).await, Ok(Submitted::New));
     }
-    let room = Room { total: 100, free: 50, most: u64::MAX, patience: LEASE };
-    let take = async |room| queue.claim("w", LEASE, room).await.unwrap().map(|c| (c.id, c.memory));
-    assert_eq!(take(room).await, Some(("small".into(), 10)));
+    let capacity = Capacity { total: 100, free: 50, most: u64::MAX, patience: LEASE };
+    let take = async |capacity| queue.claim("w", LEASE, capacity).await.unwrap().map(|c| (c.id, c.memory));
+    assert_eq!(take(capacity).await, Some(("small".into(), 10)));
     // Those that have waited for too long are overtaken no more.
     tokio::time::sleep(Duration::from_millis(5)).await;
-    let impatient = Room { patience: Duration::ZERO, ..room };
+    let impatient = Capacity { patience: Duration::ZERO, ..capacity };
     assert_eq!(take(impatient).await, None);
     // A lane for small ones does not wait for the large ones.
-    assert_eq!(take(Room { free: 100, most: 5, ..impatient }).await, Some(("tiny".into(), 1)));
+    assert_eq!(take(Capacity { free: 100, most: 5, ..impatient }).await, Some(("tiny".into(), 1)));
     // What needs more than there is runs when everything is free.
-    assert_eq!(take(Room { free: 99, ..impatient }).await, None);
-    assert_eq!(take(Room { free: 100, ..impatient }).await, Some(("huge".into(), 500)));
-    assert_eq!(take(Room { free: 80, ..impatient }).await, Some(("large".into(), 80)));
+    assert_eq!(take(Capacity { free: 99, ..impatient }).await, None);
+    assert_eq!(take(Capacity { free: 100, ..impatient }).await, Some(("huge".into(), 500)));
+    assert_eq!(take(Capacity { free: 80, ..impatient }).await, Some(("large".into(), 80)));
 }
 
 async fn objects_live_as_long_as_somebody_needs_them(queue: &impl Queue) {
@@ -210,14 +211,14 @@ async fn objects_live_as_long_as_somebody_needs_them(queue: &impl Queue) {
     assert_eq!(queue.reserve(&first, &["1".into(), "2".into()]).await, Ok(true));
     assert_eq!(queue.reserve(&second, &["2".into()]).await, Ok(true));
     // While attempts run, nothing goes but what nobody asked for.
-    queue.collect(None, &["1".into()], NOBODY).await.unwrap();
+    queue.collect(None, &["1".into()], UNEXPECTED).await.unwrap();
     queue.collect(None, &["3".into()], &remove).await.unwrap();
     assert_eq!(std::mem::take(&mut *removed.lock().unwrap()), ["3"]);
-    let end = End { artifacts: vec![entry("2")], ..ended(State::Succeeded) };
+    let end = AttemptEnd { artifacts: vec![entry("2")], ..ended(JobState::Succeeded) };
     assert_eq!(queue.finish(&second, &end, Duration::ZERO).await, Ok(true));
-    queue.collect(None, &[], NOBODY).await.unwrap();
+    queue.collect(None, &[], UNEXPECTED).await.unwrap();
     // An attempt that died leaves what others need.
-    assert_eq!(queue.recover(Some("w")).await.unwrap(), [("a".to_owned(), State::Queued)]);
+    assert_eq!(queue.recover(Some("w")).await.unwrap(), [("a".to_owned(), JobState::Queued)]);
     queue.collect(Some("a"), &[], &remove).await.unwrap();
     assert_eq!(std::mem::take(&mut *removed.lock().unwrap()), ["1"]);
     // A result goes when it expires.
@@ -226,18 +227,18 @@ async fn objects_live_as_long_as_somebody_needs_them(queue: &impl Queue) {
     assert_eq!(*removed.lock().unwrap(), ["2"]);
 }
 
-async fn what_a_job_was_told_is_kept(queue: &impl Queue) {
+async fn progress_stages_and_warnings_are_kept(queue: &impl Queue) {
     queue.submit(&NewJob { request: Some("r".into()), ..new("j") }, 9).await.unwrap();
     let claim = claim(queue, "w").await.unwrap();
     assert_eq!(claim.request.as_deref(), Some("r"));
     let stage = Progress { fraction: 0.25, stage: "read".into(), ..Progress::default() };
-    let now = Standing { progress: stage.clone(), stages: vec![stage], warnings: vec![Warning::new("c", "m")] };
-    queue.beat(&claim, LEASE, &now).await.unwrap();
+    let now = AttemptStatus { progress: stage.clone(), stages: vec![stage], warnings: vec![Warning::new("c", "m")] };
+    queue.heartbeat(&claim, LEASE, &now).await.unwrap();
     let job = queue.get("j").await.unwrap().unwrap();
     assert_eq!((job.progress, job.stages, job.warnings), (now.progress, now.stages, now.warnings));
     queue.recover(Some("w")).await.unwrap();
     let job = queue.get("j").await.unwrap().unwrap();
-    assert_eq!((job.state, job.progress.fraction), (State::Queued, 0.25 + AHEAD));
+    assert_eq!((job.state, job.progress.fraction), (JobState::Queued, 0.25 + MAX_PROGRESS_LEAD));
 }
 
 async fn pages_hold_every_job_once(queue: &impl Queue) {
@@ -246,11 +247,18 @@ async fn pages_hold_every_job_once(queue: &impl Queue) {
     }
     let (mut seen, mut cursor) = (Vec::new(), None);
     loop {
-        let (page, next) = queue.list(Some(State::Queued), cursor, 2).await.unwrap();
+        let (page, next) = queue.list(Some(JobState::Queued), cursor, 2).await.unwrap();
         seen.extend(page.into_iter().map(|j| j.id));
         let Some(next) = next else { break };
         cursor = Some(next);
     }
     assert_eq!(seen, ["4", "3", "2", "1", "0"]);
-    assert_eq!(queue.list(Some(State::Failed), None, 9).await.unwrap().0.len(), 0);
+    assert_eq!(queue.list(Some(JobState::Failed), None, 9).await.unwrap().0.len(), 0);
+}
+
+async fn every_store_has_an_identity_of_its_own(queue: &impl Queue, other: &impl Queue) {
+    let identity = queue.identity().await.unwrap();
+    assert!(identity.len() == 32 && identity.bytes().all(|b| b.is_ascii_hexdigit()), "{identity}");
+    assert_eq!(queue.identity().await, Ok(identity.clone()));
+    assert_ne!(other.identity().await, Ok(identity));
 }

@@ -6,7 +6,6 @@
 
 #[cfg(test)]
 pub(super) mod conformance;
-mod rows;
 pub mod sqlite;
 
 use std::time::Duration;
@@ -15,7 +14,7 @@ use async_trait::async_trait;
 use serde_json::Value;
 
 use super::files::Manifest;
-use super::record::{Entry, Job, JobError, Moment, State};
+use super::record::{ArtifactEntry, Job, JobError, JobState, Timestamp};
 use crate::context::{Progress, Timing};
 use crate::error::{Code, Failure, Result, Warning};
 
@@ -24,11 +23,14 @@ pub const MAX_DEATHS: u32 = 2;
 
 /// How far the fraction that users see may be ahead of what is stored: when a worker dies, its job goes on from there, so that the
 /// fraction never falls.
-pub const AHEAD: f64 = 0.2;
+pub const MAX_PROGRESS_LEAD: f64 = 0.2;
 
 /// A durable queue of jobs. Every method fails with `internal` when the backend does.
 #[async_trait]
 pub trait Queue: Send + Sync {
+    /// What tells this store from all others, for as long as it lives: 128 random bits in hexadecimal digits.
+    async fn identity(&self) -> Result<String>;
+
     /// Stores a new job, unless `most` jobs wait (`queue_full`) or its key is known: then nothing is stored, and the job of the key is
     /// named (`idempotency_mismatch` when that was another request). When this returns, the job survives anything.
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted>;
@@ -37,16 +39,16 @@ pub trait Queue: Send + Sync {
     async fn get(&self, id: &str) -> Result<Option<Job>>;
 
     /// A page of jobs, the newest first: those under `cursor`, and the next cursor.
-    async fn list(&self, state: Option<State>, cursor: Option<i64>, limit: u32) -> Result<(Vec<Job>, Option<i64>)>;
+    async fn list(&self, state: Option<JobState>, cursor: Option<i64>, limit: u32) -> Result<(Vec<Job>, Option<i64>)>;
 
     /// Number of jobs by state; states without a job may be left out.
-    async fn counts(&self) -> Result<Vec<(State, u64)>>;
+    async fn counts(&self) -> Result<Vec<(JobState, u64)>>;
 
-    /// Takes the job whose turn it is among those that there is room for.
-    async fn claim(&self, owner: &str, lease: Duration, room: Room) -> Result<Option<Claim>>;
+    /// Takes the job whose turn it is among those that there is capacity for.
+    async fn claim(&self, owner: &str, lease: Duration, capacity: Capacity) -> Result<Option<Claim>>;
 
     /// Renews the lease and notes how far the job is.
-    async fn beat(&self, claim: &Claim, lease: Duration, now: &Standing) -> Result<Beat>;
+    async fn heartbeat(&self, claim: &Claim, lease: Duration, status: &AttemptStatus) -> Result<HeartbeatReply>;
 
     /// Notes that the attempt is about to store objects with these hashes, so that nobody removes them. False when the job is not the
     /// worker's any more.
@@ -54,33 +56,33 @@ pub trait Queue: Send + Sync {
 
     /// Publishes how an attempt ended, in one step. False when the job is not the worker's any more, or when its user cancelled it and
     /// `end` is no cancellation.
-    async fn finish(&self, claim: &Claim, end: &End, keep: Duration) -> Result<bool>;
+    async fn finish(&self, claim: &Claim, end: &AttemptEnd, keep: Duration) -> Result<bool>;
 
     /// Puts a job back, first in its turn, because its process goes down in an orderly way. False when it is not the worker's any more,
     /// or when its user cancelled it.
     async fn release(&self, claim: &Claim, progress: &Progress) -> Result<bool>;
 
     /// Cancels a job that waits, or asks for it when it runs.
-    async fn cancel(&self, id: &str) -> Result<Canceled>;
+    async fn cancel(&self, id: &str) -> Result<CancelReply>;
 
-    /// Forgets a job. False when there is none.
+    /// Deletes a job. False when there is none.
     async fn delete(&self, id: &str) -> Result<bool>;
 
     /// Takes back the running jobs of `owner`, if one is named, and those whose lease ran out. Returns them with their new states:
-    /// queued, behind all that wait and [`AHEAD`] of what was stored, or final after [`MAX_DEATHS`].
-    async fn recover(&self, owner: Option<&str>) -> Result<Vec<(String, State)>>;
+    /// queued, behind all that wait and with [`MAX_PROGRESS_LEAD`] more than the stored fraction, or final after [`MAX_DEATHS`].
+    async fn recover(&self, owner: Option<&str>) -> Result<Vec<(String, JobState)>>;
 
     /// The workers that hold jobs.
     async fn owners(&self) -> Result<Vec<String>>;
 
     /// Expires the jobs that have waited since before `before` and were never run.
-    async fn expire(&self, before: Moment) -> Result<Vec<(String, State)>>;
+    async fn expire(&self, before: Timestamp) -> Result<Vec<(String, JobState)>>;
 
     /// Marks the artifacts that have expired as removed. Returns the jobs.
     async fn expire_artifacts(&self) -> Result<Vec<String>>;
 
-    /// Forgets the jobs that ended before `before` and whose artifacts are gone.
-    async fn forget(&self, before: Moment) -> Result<u64>;
+    /// Deletes the jobs that ended before `before` and whose artifacts are gone.
+    async fn purge(&self, before: Timestamp) -> Result<u64>;
 
     /// Whether the job still needs what was uploaded for it: it waits or runs.
     async fn needs_upload(&self, id: &str) -> Result<bool>;
@@ -119,22 +121,22 @@ pub enum Submitted {
     Known(String),
 }
 
-/// What a worker has room for.
+/// What a worker has capacity for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Room {
+pub struct Capacity {
     /// Bytes that all its jobs may need together; a job that is expected to need more counts as this much.
     pub total: u64,
     /// Bytes of them that are free.
     pub free: u64,
     /// Only jobs that are expected to need no more than this.
     pub most: u64,
-    /// A job for which there is no room is overtaken by smaller ones for so long.
+    /// A job for which there is no capacity is overtaken by smaller ones for so long.
     pub patience: Duration,
 }
 
-impl Room {
-    /// Room for anything.
-    pub const ANY: Room = Room { total: u64::MAX, free: u64::MAX, most: u64::MAX, patience: Duration::ZERO };
+impl Capacity {
+    /// Capacity for anything.
+    pub const ANY: Capacity = Capacity { total: u64::MAX, free: u64::MAX, most: u64::MAX, patience: Duration::ZERO };
 }
 
 /// A job that its worker holds.
@@ -158,7 +160,7 @@ pub struct Claim {
 
 /// Where an attempt stands.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Standing {
+pub struct AttemptStatus {
     /// How far it is.
     pub progress: Progress,
     /// The stages that it has entered, each with its first progress.
@@ -167,12 +169,12 @@ pub struct Standing {
     pub warnings: Vec<Warning>,
 }
 
-/// What a heartbeat learns.
+/// What a heartbeat is answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Beat {
+pub enum HeartbeatReply {
     /// Go on.
     Held,
-    /// The user wants it to stop.
+    /// Stop: the user has cancelled it.
     Cancel,
     /// The job is no longer the worker's.
     Lost,
@@ -180,25 +182,25 @@ pub enum Beat {
 
 /// How an attempt ended.
 #[derive(Debug, Clone)]
-pub struct End {
+pub struct AttemptEnd {
     /// A final state.
-    pub state: State,
+    pub state: JobState,
     /// Why it failed.
     pub error: Option<JobError>,
     /// Its results.
-    pub artifacts: Vec<Entry>,
+    pub artifacts: Vec<ArtifactEntry>,
     /// Where it stood at the end.
-    pub standing: Standing,
+    pub status: AttemptStatus,
     /// Seconds by stage.
     pub timings: Vec<Timing>,
 }
 
-/// What became of a wish to cancel.
+/// What became of a request to cancel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Canceled {
+pub enum CancelReply {
     /// It was waiting and is cancelled.
     AtOnce,
-    /// It runs and was told.
+    /// It runs and was asked to stop.
     Asked,
     /// Its state is final.
     Final,
@@ -211,17 +213,17 @@ pub fn queue_full() -> Failure {
     Failure::new(Code::QueueFull, "the queue is full; try again later")
 }
 
-/// What a job that was cancelled says.
+/// The error of a job that was cancelled.
 pub(super) fn canceled() -> JobError {
     JobError::from(Failure::new(Code::Canceled, "the job was cancelled"))
 }
 
-/// What a job says that was given up.
+/// The error of a job that was given up.
 pub(super) fn given_up() -> JobError {
     JobError::from(Failure::internal(format!("the process that computed this job died {MAX_DEATHS} times")))
 }
 
-/// What another request under a known key is told.
+/// What another request under a known key is answered.
 pub(super) fn mismatch() -> Failure {
     Failure::new(Code::IdempotencyMismatch, "this Idempotency-Key was used for another request")
 }

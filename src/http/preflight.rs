@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn models_pass_and_are_named() {
+    fn sound_models_pass_and_their_format_is_found() {
         for json in [&b"{\"asset\":{}} "[..], b"{\"asset\":{}}\0\0\0", b"\xef\xbb\xbf{\"asset\":{}}"] {
             assert_eq!(checked(&glb_of(json), "model"), Ok("glb"), "{json:?}");
         }
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_broken_is_told() {
+    fn broken_models_are_refused_with_what_is_broken() {
         let whole = glb_of(b"{\"asset\":{}} ");
         let mut version = whole.clone();
         version[4] = 1;

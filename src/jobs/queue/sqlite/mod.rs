@@ -1,5 +1,8 @@
 //! The queue in one SQLite file (WAL): for one machine, any number of processes. All SQL of jobs stands here and beside it.
 
+mod migrations;
+mod rows;
+
 use std::path::Path;
 use std::time::Duration;
 
@@ -10,17 +13,15 @@ use sqlx::sqlite::{
 };
 use sqlx::{AssertSqlSafe, Row};
 
-use super::rows::{job, json, parsed, states};
+use self::migrations::MIGRATIONS;
+use self::rows::{job, json, parsed, states};
 use super::{
-    AHEAD, Beat, Canceled, Claim, End, MAX_DEATHS, NewJob, Queue, Remove, Room, Standing, Submitted, canceled,
-    given_up, mismatch, queue_full,
+    AttemptEnd, AttemptStatus, CancelReply, Capacity, Claim, HeartbeatReply, MAX_DEATHS, MAX_PROGRESS_LEAD, NewJob,
+    Queue, Remove, Submitted, canceled, given_up, mismatch, queue_full,
 };
 use crate::context::Progress;
 use crate::error::{Failure, Result};
-use crate::jobs::record::{Job, Moment, State};
-
-/// Version of the tables, kept in the database's `user_version`.
-const VERSION: i64 = 2;
+use crate::jobs::record::{Job, JobState, Timestamp};
 
 /// The place of a job among those that wait: 1 is next.
 const POSITION: &str = "CASE state WHEN 'queued' THEN (SELECT count(*) FROM jobs other
@@ -32,51 +33,36 @@ pub struct Sqlite {
     pool: SqlitePool,
     /// For heartbeats. They need not survive a loss of power, and hold the database's lock only for as long as it takes to write to
     /// the page cache: a process that is stopped in the middle of one would keep all others waiting.
-    beats: SqlitePool,
+    heartbeats: SqlitePool,
 }
 
 impl Sqlite {
-    /// Opens the database, or makes it.
+    /// Opens the database, or makes it. One of an earlier version is copied, then migrated ([`migrations`]).
     ///
     /// # Errors
-    /// `internal`: the disk, or a database of another version.
+    /// `internal`: the disk, or a database of a version that this program does not know.
     pub async fn open(path: &Path) -> Result<Self> {
-        let options = SqliteConnectOptions::new()
-            .filename(path)
+        let options = SqliteConnectOptions::new().filename(path).busy_timeout(Duration::from_secs(20));
+        migrations::check(&options, MIGRATIONS).await?;
+        let options = options
             .create_if_missing(true)
             .journal_mode(SqliteJournalMode::Wal)
             // A job is acknowledged only when it would survive a loss of power.
-            .synchronous(SqliteSynchronous::Full)
-            .busy_timeout(Duration::from_secs(20));
+            .synchronous(SqliteSynchronous::Full);
         let pool = SqlitePoolOptions::new().max_connections(4).connect_with(options.clone()).await?;
-        let beats = options.synchronous(SqliteSynchronous::Normal);
-        let beats = SqlitePoolOptions::new().max_connections(1).connect_lazy_with(beats);
-        let of = "PRAGMA user_version";
-        if sqlx::query(of).fetch_one(&pool).await?.try_get::<i64, _>(0)? == VERSION {
-            return Ok(Sqlite { pool, beats });
-        }
-        // Of several processes that start, one makes the tables.
-        let mut connection = pool.begin_with("BEGIN IMMEDIATE").await?;
-        let version: i64 = sqlx::query(of).fetch_one(&mut *connection).await?.try_get(0)?;
-        match version {
-            VERSION => {}
-            0 => {
-                sqlx::raw_sql(include_str!("sqlite.sql")).execute(&mut *connection).await?;
-                sqlx::raw_sql(AssertSqlSafe(format!("PRAGMA user_version = {VERSION}")))
-                    .execute(&mut *connection)
-                    .await?;
-            }
-            other => {
-                return Err(Failure::internal(format!("the queue has version {other}; this program knows {VERSION}")));
-            }
-        }
-        connection.commit().await?;
-        Ok(Sqlite { pool, beats })
+        migrations::migrate(&pool, path, MIGRATIONS).await?;
+        let heartbeats = options.synchronous(SqliteSynchronous::Normal);
+        let heartbeats = SqlitePoolOptions::new().max_connections(1).connect_lazy_with(heartbeats);
+        Ok(Sqlite { pool, heartbeats })
     }
 }
 
 #[async_trait]
 impl Queue for Sqlite {
+    async fn identity(&self) -> Result<String> {
+        Ok(sqlx::query("SELECT identity FROM store").fetch_one(&self.pool).await?.try_get(0)?)
+    }
+
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted> {
         let (key, fingerprint) = job.key.as_ref().map(|(k, f)| (k.as_str(), f.as_str())).unzip();
         let done = sqlx::query(
@@ -92,7 +78,7 @@ impl Queue for Sqlite {
         .bind(key)
         .bind(fingerprint)
         .bind(&job.request)
-        .bind(Moment::now().0)
+        .bind(Timestamp::now().0)
         .bind(most)
         .bind(json(&Progress::default())?)
         .execute(&self.pool)
@@ -113,13 +99,13 @@ impl Queue for Sqlite {
         row.as_ref().map(job).transpose()
     }
 
-    async fn list(&self, state: Option<State>, cursor: Option<i64>, limit: u32) -> Result<(Vec<Job>, Option<i64>)> {
+    async fn list(&self, state: Option<JobState>, cursor: Option<i64>, limit: u32) -> Result<(Vec<Job>, Option<i64>)> {
         let sql = format!(
             "SELECT *, {POSITION} FROM jobs WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR seq < ?2)
              ORDER BY seq DESC LIMIT ?3"
         );
         let rows = sqlx::query(AssertSqlSafe(sql))
-            .bind(state.map(State::as_str))
+            .bind(state.map(JobState::as_str))
             .bind(cursor)
             .bind(limit)
             .fetch_all(&self.pool)
@@ -130,15 +116,15 @@ impl Queue for Sqlite {
         Ok((jobs, next))
     }
 
-    async fn counts(&self) -> Result<Vec<(State, u64)>> {
+    async fn counts(&self) -> Result<Vec<(JobState, u64)>> {
         let rows = sqlx::query("SELECT state, count(*) FROM jobs GROUP BY state").fetch_all(&self.pool).await?;
         let count = |row: &SqliteRow| Ok((row.try_get::<String, _>(0)?, row.try_get::<i64, _>(1)?));
         let counts = rows.iter().map(count).collect::<Result<Vec<_>>>()?;
-        Ok(counts.into_iter().filter_map(|(s, n)| Some((State::from_name(&s)?, n.unsigned_abs()))).collect())
+        Ok(counts.into_iter().filter_map(|(s, n)| Some((JobState::from_name(&s)?, n.unsigned_abs()))).collect())
     }
 
-    async fn claim(&self, owner: &str, lease: Duration, room: Room) -> Result<Option<Claim>> {
-        let now = Moment::now();
+    async fn claim(&self, owner: &str, lease: Duration, capacity: Capacity) -> Result<Option<Claim>> {
+        let now = Timestamp::now();
         let bytes = |n: u64| i64::try_from(n).unwrap_or(i64::MAX);
         let rows = sqlx::query(
             "UPDATE jobs SET state = 'running', attempt = attempt + 1, owner = ?1, lease_until = ?2, started_at = ?3,
@@ -153,10 +139,10 @@ impl Queue for Sqlite {
         .bind(owner)
         .bind(now.plus(lease).0)
         .bind(now.0)
-        .bind(bytes(room.total))
-        .bind(bytes(room.free))
-        .bind(bytes(room.most))
-        .bind(now.minus(room.patience).0)
+        .bind(bytes(capacity.total))
+        .bind(bytes(capacity.free))
+        .bind(bytes(capacity.most))
+        .bind(now.minus(capacity.patience).0)
         .fetch_all(&self.pool)
         .await?;
         let Some(row) = rows.first() else { return Ok(None) };
@@ -172,23 +158,23 @@ impl Queue for Sqlite {
         }))
     }
 
-    async fn beat(&self, claim: &Claim, lease: Duration, now: &Standing) -> Result<Beat> {
+    async fn heartbeat(&self, claim: &Claim, lease: Duration, status: &AttemptStatus) -> Result<HeartbeatReply> {
         let rows = sqlx::query(
             "UPDATE jobs SET lease_until = ?3, progress = ?4, stages = ?5, warnings = ?6
              WHERE id = ?1 AND attempt = ?2 AND state = 'running' RETURNING cancel_requested",
         )
         .bind(&claim.id)
         .bind(claim.attempt)
-        .bind(Moment::now().plus(lease).0)
-        .bind(json(&now.progress)?)
-        .bind(json(&now.stages)?)
-        .bind(json(&now.warnings)?)
-        .fetch_all(&self.beats)
+        .bind(Timestamp::now().plus(lease).0)
+        .bind(json(&status.progress)?)
+        .bind(json(&status.stages)?)
+        .bind(json(&status.warnings)?)
+        .fetch_all(&self.heartbeats)
         .await?;
         match rows.first() {
-            None => Ok(Beat::Lost),
-            Some(row) if row.try_get(0)? => Ok(Beat::Cancel),
-            Some(_) => Ok(Beat::Held),
+            None => Ok(HeartbeatReply::Lost),
+            Some(row) if row.try_get(0)? => Ok(HeartbeatReply::Cancel),
+            Some(_) => Ok(HeartbeatReply::Held),
         }
     }
 
@@ -216,8 +202,8 @@ impl Queue for Sqlite {
         Ok(true)
     }
 
-    async fn finish(&self, claim: &Claim, end: &End, keep: Duration) -> Result<bool> {
-        let now = Moment::now();
+    async fn finish(&self, claim: &Claim, end: &AttemptEnd, keep: Duration) -> Result<bool> {
+        let now = Timestamp::now();
         let done = sqlx::query(
             "UPDATE jobs SET state = ?3, finished_at = ?4, artifacts_expire_at = ?5, progress = ?6, timings = ?7, warnings = ?8,
                error = ?9, artifacts = ?10, stages = ?11, owner = NULL, lease_until = NULL
@@ -228,12 +214,12 @@ impl Queue for Sqlite {
         .bind(end.state.as_str())
         .bind(now.0)
         .bind((!end.artifacts.is_empty()).then(|| now.plus(keep).0))
-        .bind(json(&end.standing.progress)?)
+        .bind(json(&end.status.progress)?)
         .bind(json(&end.timings)?)
-        .bind(json(&end.standing.warnings)?)
+        .bind(json(&end.status.warnings)?)
         .bind(end.error.as_ref().map(json).transpose()?)
         .bind(json(&end.artifacts)?)
-        .bind(json(&end.standing.stages)?)
+        .bind(json(&end.status.stages)?)
         .execute(&self.pool)
         .await?;
         Ok(done.rows_affected() > 0)
@@ -247,13 +233,13 @@ impl Queue for Sqlite {
         .bind(&claim.id)
         .bind(claim.attempt)
         .bind(json(progress)?)
-        .bind(Moment::now().0)
+        .bind(Timestamp::now().0)
         .execute(&self.pool)
         .await?;
         Ok(done.rows_affected() > 0)
     }
 
-    async fn cancel(&self, id: &str) -> Result<Canceled> {
+    async fn cancel(&self, id: &str) -> Result<CancelReply> {
         let rows = sqlx::query(
             "UPDATE jobs SET cancel_requested = 1,
                finished_at = CASE state WHEN 'queued' THEN ?2 END, error = CASE state WHEN 'queued' THEN ?3 END,
@@ -261,16 +247,16 @@ impl Queue for Sqlite {
              WHERE id = ?1 AND state IN ('queued', 'running') RETURNING state",
         )
         .bind(id)
-        .bind(Moment::now().0)
+        .bind(Timestamp::now().0)
         .bind(json(&canceled())?)
         .fetch_all(&self.pool)
         .await?;
         if let Some(row) = rows.first() {
             let state: String = row.try_get(0)?;
-            return Ok(if state == "running" { Canceled::Asked } else { Canceled::AtOnce });
+            return Ok(if state == "running" { CancelReply::Asked } else { CancelReply::AtOnce });
         }
         let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?1").bind(id).fetch_optional(&self.pool).await?;
-        Ok(if known.is_some() { Canceled::Final } else { Canceled::Unknown })
+        Ok(if known.is_some() { CancelReply::Final } else { CancelReply::Unknown })
     }
 
     async fn delete(&self, id: &str) -> Result<bool> {
@@ -278,7 +264,7 @@ impl Queue for Sqlite {
         Ok(done.rows_affected() > 0)
     }
 
-    async fn recover(&self, owner: Option<&str>) -> Result<Vec<(String, State)>> {
+    async fn recover(&self, owner: Option<&str>) -> Result<Vec<(String, JobState)>> {
         let rows = sqlx::query(
             "UPDATE jobs SET deaths = deaths + 1, owner = NULL, lease_until = NULL, queued_at = ?3,
                turn = (SELECT coalesce(max(turn), 0) + 1 FROM jobs),
@@ -290,10 +276,10 @@ impl Queue for Sqlite {
         )
         .bind(owner)
         .bind(MAX_DEATHS)
-        .bind(Moment::now().0)
+        .bind(Timestamp::now().0)
         .bind(json(&given_up())?)
         .bind(json(&canceled())?)
-        .bind(AHEAD)
+        .bind(MAX_PROGRESS_LEAD)
         .fetch_all(&self.pool)
         .await?;
         states(&rows)
@@ -305,13 +291,13 @@ impl Queue for Sqlite {
         rows.iter().map(|row| Ok(row.try_get(0)?)).collect()
     }
 
-    async fn expire(&self, before: Moment) -> Result<Vec<(String, State)>> {
+    async fn expire(&self, before: Timestamp) -> Result<Vec<(String, JobState)>> {
         let rows = sqlx::query(
             "UPDATE jobs SET state = 'expired', finished_at = ?2
              WHERE state = 'queued' AND attempt = 0 AND created_at < ?1 RETURNING id, state",
         )
         .bind(before.0)
-        .bind(Moment::now().0)
+        .bind(Timestamp::now().0)
         .fetch_all(&self.pool)
         .await?;
         states(&rows)
@@ -321,13 +307,13 @@ impl Queue for Sqlite {
         let rows = sqlx::query(
             "UPDATE jobs SET artifacts_removed = 1 WHERE artifacts_removed = 0 AND artifacts_expire_at <= ?1 RETURNING id",
         )
-        .bind(Moment::now().0)
+        .bind(Timestamp::now().0)
         .fetch_all(&self.pool)
         .await?;
         rows.iter().map(|row| Ok(row.try_get(0)?)).collect()
     }
 
-    async fn forget(&self, before: Moment) -> Result<u64> {
+    async fn purge(&self, before: Timestamp) -> Result<u64> {
         let done = sqlx::query(
             "DELETE FROM jobs WHERE finished_at < ?1 AND (artifacts_removed = 1 OR artifacts_expire_at IS NULL)",
         )
@@ -392,14 +378,5 @@ mod tests {
             Sqlite::open(&root.path().join(format!("{number}.sqlite"))).await.unwrap()
         })
         .await;
-    }
-
-    #[tokio::test]
-    async fn a_queue_of_another_version_is_refused() {
-        let root = tempfile::tempdir().unwrap();
-        let path = root.path().join("queue.sqlite");
-        let queue = Sqlite::open(&path).await.unwrap();
-        sqlx::raw_sql("PRAGMA user_version = 99").execute(&queue.pool).await.unwrap();
-        assert!(Sqlite::open(&path).await.unwrap_err().message.contains("99"));
     }
 }

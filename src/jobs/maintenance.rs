@@ -1,13 +1,13 @@
-//! What the queue does by itself: jobs of dead workers run again, jobs that waited too long expire, what is old goes.
+//! Maintenance, which the service does by itself: jobs of dead workers run again, jobs that waited too long expire, what is old goes.
 
 use std::time::Duration;
 
 use super::Jobs;
-use super::record::{Moment, State};
+use super::record::{JobState, Timestamp};
 use crate::error::{Failure, Result};
 
-/// Uploads without a job that nobody touched for so long are left over: between a complete upload and its job there are moments only.
-const LEFT_OVER: Duration = Duration::from_secs(60);
+/// Uploads without a job that nobody touched for so long are orphaned: a complete upload has its job within milliseconds.
+const ORPHANED_AFTER: Duration = Duration::from_secs(60);
 
 impl Jobs {
     /// Takes back the jobs of processes that are gone: those whose lock can be had, and those whose lease ran out.
@@ -23,7 +23,7 @@ impl Jobs {
         }
         for (job, state) in back {
             tracing::warn!(%job, state = state.as_str(), "took back a job whose worker is gone");
-            if state == State::Queued {
+            if state == JobState::Queued {
                 self.hub.requeued(&job);
                 self.wake.notify_one();
             } else {
@@ -51,26 +51,26 @@ impl Jobs {
         self.queue.collect(job, &present, &|object| self.files.remove_object(object)).await
     }
 
-    /// One round of upkeep; `sweep` also looks for objects that belong to no job.
+    /// One round of maintenance; `sweep` also looks for objects that belong to no job.
     ///
     /// # Errors
     /// `internal`.
-    pub async fn tidy(&self, sweep: bool) -> Result<()> {
+    pub async fn maintain(&self, sweep: bool) -> Result<()> {
         self.recover().await?;
-        let now = Moment::now();
+        let now = Timestamp::now();
         for (job, state) in self.queue.expire(now.minus(self.limits.max_wait)).await? {
             self.hub.ended(&job, state);
             self.files.remove_uploads(&job);
         }
         let expired = self.queue.expire_artifacts().await?;
-        self.files.forget_workers();
-        let forgotten = self.queue.forget(now.minus(self.limits.keep_jobs)).await?;
-        for job in self.files.untouched(LEFT_OVER) {
+        self.files.remove_dead_workers();
+        let purged = self.queue.purge(now.minus(self.limits.keep_jobs)).await?;
+        for job in self.files.untouched(ORPHANED_AFTER) {
             if !self.queue.needs_upload(&job).await? {
                 self.files.remove_uploads(&job);
             }
         }
-        if sweep || !expired.is_empty() || forgotten > 0 {
+        if sweep || !expired.is_empty() || purged > 0 {
             self.collect(None, sweep).await?;
         }
         Ok(())

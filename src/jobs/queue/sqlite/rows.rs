@@ -6,7 +6,7 @@ use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
 use crate::error::{Failure, Result};
-use crate::jobs::record::{Job, Moment, State};
+use crate::jobs::record::{Job, JobState, Timestamp};
 
 /// A value as a column holds it.
 pub(super) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
@@ -25,23 +25,23 @@ pub(super) fn parsed<T: DeserializeOwned>(row: &SqliteRow, column: &str) -> Resu
 /// A job from its row, with `position` beside the columns of the table.
 pub(super) fn job(row: &SqliteRow) -> Result<Job> {
     let options: Value = parsed(row, "options")?;
-    let moment = |column: &str| row.try_get::<Option<i64>, _>(column).map(|m| m.map(Moment));
+    let timestamp = |column: &str| row.try_get::<Option<i64>, _>(column).map(|m| m.map(Timestamp));
     let state: String = row.try_get("state")?;
     let position: Option<i64> = row.try_get("position")?;
     let error: Option<String> = row.try_get("error")?;
     Ok(Job {
         id: row.try_get("id")?,
-        state: State::from_name(&state).ok_or_else(|| Failure::internal("the job queue holds a broken state"))?,
+        state: JobState::from_name(&state).ok_or_else(|| Failure::internal("the job queue holds a broken state"))?,
         recipe: options.get("recipe").cloned().unwrap_or_default(),
         metadata: options.get("metadata").cloned().unwrap_or_default(),
         options,
         progress: parsed(row, "progress")?,
         queue_position: position.and_then(|p| u64::try_from(p).ok()),
         attempt: row.try_get("attempt")?,
-        created_at: Moment(row.try_get("created_at")?),
-        started_at: moment("started_at")?,
-        finished_at: moment("finished_at")?,
-        artifacts_expire_at: moment("artifacts_expire_at")?,
+        created_at: Timestamp(row.try_get("created_at")?),
+        started_at: timestamp("started_at")?,
+        finished_at: timestamp("finished_at")?,
+        artifacts_expire_at: timestamp("artifacts_expire_at")?,
         stages: parsed(row, "stages")?,
         timings: parsed(row, "timings")?,
         warnings: parsed(row, "warnings")?,
@@ -51,7 +51,7 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
 }
 
 /// Jobs with their states.
-pub(super) fn states(rows: &[SqliteRow]) -> Result<Vec<(String, State)>> {
-    let state = |name: String| State::from_name(&name).ok_or_else(|| Failure::internal("a broken state"));
+pub(super) fn states(rows: &[SqliteRow]) -> Result<Vec<(String, JobState)>> {
+    let state = |name: String| JobState::from_name(&name).ok_or_else(|| Failure::internal("a broken state"));
     rows.iter().map(|row| Ok((row.try_get(0)?, state(row.try_get(1)?)?))).collect()
 }

@@ -1,0 +1,117 @@
+//! The schema of the queue's database, and how a store of an earlier version becomes one of today's.
+//!
+//! The version stands in the database's `user_version`, 0 in a new file. Migrations run in order and in one transaction; a store that is
+//! not new is copied first. To change the schema, add a file and a line to [`MIGRATIONS`]; what is there already never changes. Processes
+//! of the version before may still be at work on the store, so a migration adds what they need not know.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row, SqliteConnection};
+
+use crate::error::{Failure, Result};
+use crate::jobs::files::{disk, sync_folder};
+
+/// The step from the schema before to that of `version`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Migration {
+    version: i64,
+    sql: &'static str,
+}
+
+/// All of them, in order. A new store takes every step, so that it has the same tables as one that grew.
+pub(super) const MIGRATIONS: &[Migration] = &[
+    Migration { version: 2, sql: include_str!("2_jobs.sql") },
+    Migration { version: 3, sql: include_str!("3_outcome_and_identity.sql") },
+];
+
+/// Fails for a store that this program cannot use. It is only read: a newer version's stays as it is.
+///
+/// # Errors
+/// `internal`: the disk, or a store of a version that is not known.
+pub(super) async fn check(options: &SqliteConnectOptions, migrations: &[Migration]) -> Result<()> {
+    let path = options.get_filename();
+    if !tokio::fs::try_exists(path).await.map_err(|e| disk(path, &e))? {
+        return Ok(());
+    }
+    let mut reader = options.clone().create_if_missing(false).read_only(true).connect().await?;
+    let version = version(&mut reader).await?;
+    reader.close().await?;
+    outstanding(version, migrations).map(|_| ())
+}
+
+/// Brings the store to the version of the last migration, unless it has it already.
+///
+/// # Errors
+/// `internal`: the disk, a store of a version that is not known, or a migration that fails; then the store is as it was.
+pub(super) async fn migrate(pool: &SqlitePool, path: &Path, migrations: &[Migration]) -> Result<()> {
+    if outstanding(version(&mut *pool.acquire().await?).await?, migrations)?.is_empty() {
+        return Ok(());
+    }
+    // Of several processes that open the store one migrates it; the others wait here and find it done.
+    let mut step = pool.begin_with("BEGIN IMMEDIATE").await?;
+    let from = version(&mut step).await?;
+    let outstanding = outstanding(from, migrations)?;
+    let Some(to) = outstanding.last().map(|m| m.version) else { return Ok(()) };
+    if from > 0 {
+        let copy = copy(pool, path, from).await?;
+        tracing::info!(from, to, copy = %copy.display(), "migrating the job queue");
+    }
+    for migration in outstanding {
+        sqlx::raw_sql(migration.sql).execute(&mut *step).await?;
+    }
+    sqlx::raw_sql(AssertSqlSafe(format!("PRAGMA user_version = {to}"))).execute(&mut *step).await?;
+    Ok(step.commit().await?)
+}
+
+async fn version(connection: &mut SqliteConnection) -> Result<i64> {
+    Ok(sqlx::query("PRAGMA user_version").fetch_one(connection).await?.try_get(0)?)
+}
+
+/// The migrations that a store of that version lacks.
+fn outstanding(version: i64, migrations: &[Migration]) -> Result<&[Migration]> {
+    let [first, .., last] = migrations else { return Ok(migrations) };
+    if version > last.version {
+        let known = last.version;
+        return Err(Failure::internal(format!(
+            "the job queue was made by a newer version of Intarsia (schema {version}, this one knows {known})"
+        )));
+    }
+    if version != 0 && version < first.version {
+        let known = first.version;
+        return Err(Failure::internal(format!(
+            "the job queue was made by a version of Intarsia that is too old (schema {version}, this one reads {known} and later)"
+        )));
+    }
+    Ok(migrations.get(migrations.partition_point(|m| m.version <= version)..).unwrap_or_default())
+}
+
+/// Copies the store as it is, with what is in its WAL, to a file beside it that has the version in its name. The caller holds the lock for
+/// writing, so that nothing comes in between the copy and the migration.
+async fn copy(pool: &SqlitePool, path: &Path, version: i64) -> Result<PathBuf> {
+    let path = std::path::absolute(path).map_err(|e| disk(path, &e))?;
+    let beside = |suffix: &str| {
+        let mut name = path.clone().into_os_string();
+        name.push(suffix);
+        PathBuf::from(name)
+    };
+    let (young, copy) = (beside(&format!(".v{version}.new")), beside(&format!(".v{version}")));
+    let failed = |e: io::Error| disk(&copy, &e);
+    // What a process has left that died on the way.
+    match tokio::fs::remove_file(&young).await {
+        Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(failed(e)),
+        _ => {}
+    }
+    let name = young.to_str().ok_or_else(|| Failure::internal("the path of the data folder is not UTF-8"))?;
+    sqlx::query("VACUUM INTO ?1").bind(name).execute(pool).await?;
+    // SQLite does not sync what it vacuums into.
+    let file = tokio::fs::File::options().write(true).open(&young).await.map_err(failed)?;
+    file.sync_all().await.map_err(failed)?;
+    tokio::fs::rename(&young, &copy).await.map_err(failed)?;
+    sync_folder(path.parent().unwrap_or(&path)).map_err(failed)?;
+    Ok(copy)
+}
+
+#[cfg(test)]
+mod tests;
