@@ -170,6 +170,12 @@ impl Form {
         Form::default().file("model", "sample.glb", &sample())
     }
 
+    /// A form with a scan that takes some seconds.
+    pub fn long() -> Form {
+        let scan = intarsia::asset::sample::sample("scan_10000").unwrap();
+        Form::default().file("model", "scan.glb", &scan).text("options", r#"{"recipe": "scan"}"#)
+    }
+
     pub fn file(mut self, field: &str, name: &str, bytes: &[u8]) -> Form {
         let head = format!(
             "--{BOUNDARY}\r\nContent-Disposition: form-data; name=\"{field}\"; filename=\"{name}\"\r\n\
