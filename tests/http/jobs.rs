@@ -106,7 +106,7 @@ fn a_raw_model_is_a_job_too() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);
     for media_type in ["model/gltf-binary", "application/octet-stream"] {
-        let response = server.post("/v1/jobs?recipe=pack", media_type, &sample());
+        let response = server.post("/v1/jobs?recipe=pack", media_type, sample());
         assert_eq!(response.status(), 202);
         assert_eq!(server.wait(header(&response, "location"))["state"], "succeeded");
     }

@@ -63,7 +63,7 @@ fn a_running_job_is_cancelled_within_a_second() {
 #[test]
 fn a_worker_that_stands_still_loses_its_job_and_its_late_result() {
     let data = tempfile::tempdir().unwrap();
-    let first = Server::start(data.path(), &["--lease", "1s"]);
+    let first = Server::start_with_log(data.path(), &["--lease", "1s", "--log-level", "warn", "--log-format", "json"]);
     let path = first.accepted(&Form::long());
     first.until(&path, running);
     first.signal("-STOP");
@@ -73,7 +73,12 @@ fn a_worker_that_stands_still_loses_its_job_and_its_late_result() {
     let job = second.wait(&path);
     assert_eq!((&job["state"], &job["attempt"]), (&json!("succeeded"), &json!(2)), "{job:#}");
     first.signal("-CONT");
-    std::thread::sleep(Duration::from_secs(3));
+    let late = |line: &Value| line["fields"]["message"].as_str().is_some_and(|m| m.contains("does not count"));
+    let started = Instant::now();
+    while !first.log().iter().any(late) {
+        assert!(started.elapsed() < PATIENCE, "the late job does not end");
+        std::thread::sleep(Duration::from_millis(20));
+    }
     let after = json(&mut first.get(&path, &[]));
     assert_eq!((&after["attempt"], &after["artifacts"]), (&job["attempt"], &job["artifacts"]), "published once");
     assert_eq!(second.get(artifact(&job, "model.glb")["href"].as_str().unwrap(), &[]).status(), 200);
