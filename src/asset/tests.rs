@@ -340,13 +340,16 @@ proptest! {
             glb[at % length] = byte;
         }
         glb.truncate(end);
-        if let Ok((doc, _)) = open(&[file("m.glb", &glb)]) {
-            for accessor in 0..4 {
-                let _ = read_vec3(&doc, accessor);
-                let _ = read_indices(&doc, accessor);
+        let mut failures = Vec::new();
+        match open(&[file("m.glb", &glb)]) {
+            Ok((doc, _)) => {
+                failures.extend((0..4).filter_map(|accessor| read_vec3(&doc, accessor).err()));
+                failures.extend((0..4).filter_map(|accessor| read_indices(&doc, accessor).err()));
+                failures.extend(doc.to_glb().err());
+                failures.extend(doc.to_gltf().err());
             }
-            let _ = doc.to_glb();
-            let _ = doc.to_gltf();
+            Err(failure) => failures.push(failure),
         }
+        prop_assert!(failures.iter().all(|f| f.code != Code::Internal), "{:?}", failures);
     }
 }

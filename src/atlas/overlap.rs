@@ -302,6 +302,7 @@ mod tests {
     fn a_shared_edge_at_odd_coordinates_is_exact() {
         // Floating-point cross products of these get signs wrong; exact ones do not.
         let mut rng = Rng(7);
+        let mut tried = 0;
         for _ in 0..2000 {
             let (p, q) = (rng.point(1.0) + DVec2::splat(1e6 / 3.0), rng.point(1.0) + DVec2::splat(1e6 / 3.0));
             let mut side = |s: f64| (p + q) * 0.5 + (q - p).perp() * s * (1e-9 + rng.unit());
@@ -309,8 +310,10 @@ mod tests {
             if orientation(p, q, l) * orientation(p, q, r) < 0 {
                 assert!(!triangles_overlap(&[p, q, l], &[q, p, r]));
                 assert!(triangles_overlap(&[p, q, l], &[p, q, l]));
+                tried += 1;
             }
         }
+        assert!(tried > 500, "{tried} of 2000 lie on both sides of their edge");
     }
 
     #[test]

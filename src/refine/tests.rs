@@ -17,16 +17,16 @@ use crate::context::Context;
 use crate::texture::{Header, Image, Role, Samples, decode, header};
 
 fn uploaded(name: &str) -> File {
-    File { path: format!("{name}.glb"), bytes: sample::sample(name).unwrap() }
+    File { path: format!("{name}.glb"), bytes: sample::made(name).to_vec() }
 }
 
 fn run(name: &str, options: Value) -> (Outcome, Vec<String>) {
-    run_on(uploaded(name), options)
+    run_on(uploaded(name), options, true)
 }
 
-fn run_on(file: File, options: Value) -> (Outcome, Vec<String>) {
+fn run_on(file: File, options: Value, extras: bool) -> (Outcome, Vec<String>) {
     let context = Context::silent();
-    let input = Input { models: vec![vec![file]], extras: true, ..Input::default() };
+    let input = Input { models: vec![vec![file]], extras, ..Input::default() };
     let outcome = refine(&input, &parse::options(&options).unwrap(), &context).unwrap();
     (outcome, context.warnings().into_iter().map(|w| w.code).collect())
 }
@@ -262,7 +262,7 @@ fn shading_stays_when_charts_turn_are_mirrored_or_scaled() {
             (json!({ "size": "keep_size" }), json!({ "mirror": true }), 4.0),
         ] {
             let file = File { path: "model.glb".to_owned(), bytes: doc.to_glb().unwrap() };
-            let (outcome, _) = run_on(file, options(texture.clone(), pack.clone()));
+            let (outcome, _) = run_on(file, options(texture.clone(), pack.clone()), false);
             let after = shading(&model(&outcome), 1.6);
             assert_eq!(before.len(), after.len());
             let angle = |(a, b): (&DVec3, &DVec3)| a.cross(*b).length().atan2(a.dot(*b)).to_degrees();

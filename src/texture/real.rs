@@ -10,10 +10,19 @@ use super::*;
 use crate::atlas::{Atlas, FaceId, Provenance, UvId, VertexId};
 use crate::context::Context;
 
+fn data_folder() -> PathBuf {
+    std::env::var_os("INTARSIA_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from)
+}
+
+/// That something was tried where there are models.
+#[track_caller]
+fn something_was(tried: usize) {
+    assert!(tried > 0 || !data_folder().is_dir(), "models are at hand, and none was tried");
+}
+
 /// Vertices, texture coordinates and triangles of an OBJ file, on a sheet of the size of its texture.
 fn load(folder: &str, mesh: &str, texture: &str) -> Option<(Atlas, Image)> {
-    let data = std::env::var_os("INTARSIA_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
-    let folder = data.join("scans").join(folder);
+    let folder = data_folder().join("scans").join(folder);
     let (Ok(text), Ok(bytes)) = (std::fs::read_to_string(folder.join(mesh)), std::fs::read(folder.join(texture)))
     else {
         println!("skipped: {} is not at hand", folder.display());
@@ -61,11 +70,13 @@ fn turned(before: &Atlas, angle: f64) -> Atlas {
 
 #[test]
 fn scans_stay_exact_when_moved_by_whole_texels_and_close_under_any_turn() {
+    let mut tried = 0;
     for (folder, mesh, texture) in [
         ("meshroom_esp32cam", "texturedMesh.obj", "texture_1001.png"),
         ("planeopt_copyroom", "copyroom_c2000_opt.obj", "copyroom_c2000_opt_0_1024.jpg"),
     ] {
         let Some((before, image)) = load(folder, mesh, texture) else { continue };
+        tried += 1;
         let slot = slot(Role::BaseColor, &image);
         let reference = [image.width, image.height];
         for angle in [std::f64::consts::FRAC_PI_2, 0.5] {
@@ -86,12 +97,13 @@ fn scans_stay_exact_when_moved_by_whole_texels_and_close_under_any_turn() {
             }
         }
     }
+    something_was(tried);
 }
 
 #[test]
 fn ktx2_textures_are_what_the_reference_transcoder_makes_of_them() {
     use sha2::{Digest, Sha256};
-    let data = std::env::var_os("INTARSIA_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
+    let mut tried = 0;
     // First digits of the SHA-256 of the RGBA that the transcoder of Basis Universal itself gives.
     for (file, expected) in [
         ("scans/loaders_agi_ktx2.glb", &["e61efbf639cf3f9b"][..]),
@@ -100,10 +112,11 @@ fn ktx2_textures_are_what_the_reference_transcoder_makes_of_them() {
             &["83bf34dd8ea4e49a", "326c42a5a33e0072", "7802fc7e099d7f59"],
         ),
     ] {
-        let Ok(bytes) = std::fs::read(data.join(file)) else {
+        let Ok(bytes) = std::fs::read(data_folder().join(file)) else {
             println!("skipped: {file} is not at hand");
             continue;
         };
+        tried += 1;
         let starts = (0..bytes.len()).filter(|i| bytes[*i..].starts_with(b"\xabKTX 20\xbb"));
         let found: Vec<String> = starts
             .map(|start| {
@@ -118,4 +131,5 @@ fn ktx2_textures_are_what_the_reference_transcoder_makes_of_them() {
         found.sort_unstable();
         assert_eq!(found, expected, "{file}");
     }
+    something_was(tried);
 }

@@ -30,7 +30,7 @@ fn a_model_is_refined_from_file_to_file() {
     assert!(fs::read(at("out.glb")).unwrap().starts_with(b"glTF"));
     let report: Value = serde_json::from_slice(&fs::read(at("report.json")).unwrap()).unwrap();
     assert_eq!(report, serde_json::from_str::<Value>(&out).unwrap(), "--json is the report, and nothing else");
-    assert!(at("pictures").is_dir());
+    assert!(fs::read_dir(at("pictures")).unwrap().count() > 0, "pictures are written");
     assert!(errors.lines().any(|l| l.starts_with("[1/")), "progress in lines: {errors}");
     let (_, out, errors) = intarsia(folder.path(), &["refine", "in.glb", "-o", "again.glb", "-q"]);
     assert!(out.is_empty() && !errors.contains("wrote"), "{out}{errors}");

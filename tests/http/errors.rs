@@ -27,7 +27,7 @@ fn bad_submissions_are_told_what_is_wrong() {
     let server = Server::start(data.path(), &[]);
     let model = |name: &str, bytes: &[u8]| Form::default().file("model", name, bytes);
     let whole = sample();
-    let mut version = whole.clone();
+    let mut version = whole.to_vec();
     version[4] = 1;
     for (form, status, code, part) in [
         (model("m.glb", b""), 400, "invalid_model", "empty"),
@@ -86,8 +86,8 @@ fn raw_bodies_must_be_models() {
         ("/v1/jobs", "model/gltf-binary", b"", 400),
         ("/v1/jobs", "multipart/form-data", b"", 400),
         ("/v1/jobs", "multipart/form-data; boundary=x", b"--x\r\nbroken", 400),
-        ("/v1/jobs?recipe=pak", "model/gltf-binary", &sample(), 422),
-        ("/v1/jobs?receipt=pack", "model/gltf-binary", &sample(), 400),
+        ("/v1/jobs?recipe=pak", "model/gltf-binary", sample(), 422),
+        ("/v1/jobs?receipt=pack", "model/gltf-binary", sample(), 400),
     ] {
         assert_eq!(problem(server.post(path, media_type, body))["status"], status, "{path} {media_type}");
     }

@@ -3,6 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -127,7 +128,9 @@ impl Server {
     /// Sends the process a signal.
     #[cfg(unix)]
     pub fn signal(&self, name: &str) {
-        let status = Command::new("kill").args([name, &self.child.id().to_string()]).status().unwrap();
+        // The shell's own `kill`: the program of that name is not on every machine.
+        let pid = self.child.id().to_string();
+        let status = Command::new("sh").args(["-c", "kill \"$0\" \"$1\"", name, &pid]).status().unwrap();
         assert!(status.success());
     }
 
@@ -167,7 +170,13 @@ const BOUNDARY: &str = "a-boundary-that-no-file-holds-7d3f";
 impl Form {
     /// A form with the sample model.
     pub fn sample() -> Form {
-        Form::default().file("model", "sample.glb", &sample())
+        Form::default().file("model", "sample.glb", sample())
+    }
+
+    /// A form with a scan that takes some seconds.
+    pub fn long() -> Form {
+        static SCAN: LazyLock<Vec<u8>> = LazyLock::new(|| intarsia::asset::sample::sample("scan_10000").unwrap());
+        Form::default().file("model", "scan.glb", &SCAN).text("options", r#"{"recipe": "scan"}"#)
     }
 
     pub fn file(mut self, field: &str, name: &str, bytes: &[u8]) -> Form {
@@ -193,8 +202,9 @@ impl Form {
 }
 
 /// The model that the program makes itself.
-pub fn sample() -> Vec<u8> {
-    intarsia::asset::sample::sample("textured").unwrap()
+pub fn sample() -> &'static [u8] {
+    static SAMPLE: LazyLock<Vec<u8>> = LazyLock::new(|| intarsia::asset::sample::sample("textured").unwrap());
+    &SAMPLE
 }
 
 /// A GLB of that JSON and nothing else.

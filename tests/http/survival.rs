@@ -7,12 +7,6 @@ use serde_json::{Value, json};
 
 use crate::server::{Form, PATIENCE, Server, artifact, json, left};
 
-/// A scan that takes some seconds.
-fn long() -> Form {
-    let scan = intarsia::asset::sample::sample("scan_10000").unwrap();
-    Form::default().file("model", "scan.glb", &scan).text("options", r#"{"recipe": "scan"}"#)
-}
-
 fn number(server: &Server, state: &str) -> usize {
     let page = json(&mut server.get(&format!("/v1/jobs?limit=200&state={state}"), &[]));
     page["jobs"].as_array().unwrap().len()
@@ -55,7 +49,7 @@ fn jobs_survive_the_death_of_the_process_and_leave_nothing_else() {
 fn a_running_job_is_cancelled_within_a_second() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);
-    let path = server.accepted(&long());
+    let path = server.accepted(&Form::long());
     server.until(&path, |job| running(job) && job["progress"]["stage"] == "defrag");
     let started = Instant::now();
     assert_eq!(server.post(&format!("{path}/cancel"), "application/json", b"").status(), 202);
@@ -69,8 +63,8 @@ fn a_running_job_is_cancelled_within_a_second() {
 #[test]
 fn a_worker_that_stands_still_loses_its_job_and_its_late_result() {
     let data = tempfile::tempdir().unwrap();
-    let first = Server::start(data.path(), &["--lease", "1s"]);
-    let path = first.accepted(&long());
+    let first = Server::start_with_log(data.path(), &["--lease", "1s", "--log-level", "warn", "--log-format", "json"]);
+    let path = first.accepted(&Form::long());
     first.until(&path, running);
     first.signal("-STOP");
     // Its lease runs out, while its process is still there.
@@ -79,7 +73,12 @@ fn a_worker_that_stands_still_loses_its_job_and_its_late_result() {
     let job = second.wait(&path);
     assert_eq!((&job["state"], &job["attempt"]), (&json!("succeeded"), &json!(2)), "{job:#}");
     first.signal("-CONT");
-    std::thread::sleep(Duration::from_secs(3));
+    let late = |line: &Value| line["fields"]["message"].as_str().is_some_and(|m| m.contains("does not count"));
+    let started = Instant::now();
+    while !first.log().iter().any(late) {
+        assert!(started.elapsed() < PATIENCE, "the late job does not end");
+        std::thread::sleep(Duration::from_millis(20));
+    }
     let after = json(&mut first.get(&path, &[]));
     assert_eq!((&after["attempt"], &after["artifacts"]), (&job["attempt"], &job["artifacts"]), "published once");
     assert_eq!(second.get(artifact(&job, "model.glb")["href"].as_str().unwrap(), &[]).status(), 200);
@@ -90,7 +89,7 @@ fn a_worker_that_stands_still_loses_its_job_and_its_late_result() {
 fn a_service_that_is_told_to_stop_hands_its_job_back() {
     let data = tempfile::tempdir().unwrap();
     let first = Server::start(data.path(), &["--grace", "100ms"]);
-    let path = first.accepted(&long());
+    let path = first.accepted(&Form::long());
     first.until(&path, running);
     first.signal("-TERM");
     first.ended(Duration::from_secs(8));
@@ -103,7 +102,7 @@ fn a_service_that_is_told_to_stop_hands_its_job_back() {
 fn jobs_run_beside_each_other_and_small_ones_do_not_wait_for_large_ones() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &["--jobs", "2", "--list-jobs"]);
-    let large: Vec<String> = (0..3).map(|_| server.accepted(&long())).collect();
+    let large: Vec<String> = (0..3).map(|_| server.accepted(&Form::long())).collect();
     server.until(&large[0], running);
     let small = server.wait(&server.accepted(&Form::sample()));
     assert_eq!(small["state"], "succeeded");
@@ -116,7 +115,7 @@ fn what_needs_more_memory_than_there_is_is_refused() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &["--memory", "200MB"]);
     assert_eq!(json(&mut server.get("/v1/limits", &[]))["memory_bytes"], 200_000_000);
-    let mut refused = server.submit(&long());
+    let mut refused = server.submit(&Form::long());
     assert_eq!((refused.status().as_u16(), &json(&mut refused)["code"]), (413, &json!("too_large")));
     assert_eq!(left(data.path()), [] as [String; 0]);
     assert_eq!(server.wait(&server.accepted(&Form::sample()))["state"], "succeeded");

@@ -91,8 +91,7 @@ fn meshopt_and_plain_models_are_the_same() {
 
 #[test]
 fn compressed_models_are_packed() {
-    for name in ["pbr/cesium_MilkTruck_draco/CesiumMilkTruck.gltf", "scans/loaders_tile.glb"] {
-        let Some(files) = data::model(name) else { continue };
+    for (name, files) in data::models(&["pbr/cesium_MilkTruck_draco/CesiumMilkTruck.gltf", "scans/loaders_tile.glb"]) {
         let original = open(&files).0.to_glb().expect("a GLB");
         let outcome = pack(files);
         let model = outcome.artifacts.iter().find(|a| a.role == "model").expect("a model");

@@ -73,8 +73,10 @@ fn figure(of: &Value, when: &str, key: &str) -> f64 {
 
 #[test]
 fn scans_have_fewer_charts_and_shorter_seams() {
+    let goal = |name: &str| GOALS.iter().find(|goal| goal.name == name).expect("a goal");
+    let scans = data::models(&GOALS.each_ref().map(|goal| goal.name));
     let reports: Vec<(&Goal, Value)> =
-        GOALS.iter().filter_map(|goal| Some((goal, defragmented(goal, data::model(goal.name)?)))).collect();
+        scans.map(|(name, files)| (goal(name), defragmented(goal(name), files))).collect();
     let missed: Vec<String> = reports.iter().flat_map(|(goal, report)| missed(goal, report)).collect();
     assert!(missed.is_empty(), "{missed:#?}");
     let resampled: f64 = reports.iter().map(|(_, report)| resampled(report)).sum();
@@ -169,8 +171,7 @@ fn charts(report: &Value) -> [f64; 2] {
 
 #[test]
 fn one_thread_and_two_give_the_same_bytes() {
-    for (name, files) in [("sample.scan", Some(made("scan"))), (COPYROOM, data::model(COPYROOM))] {
-        let Some(files) = files else { continue };
+    for (name, files) in std::iter::once(("sample.scan", made("scan"))).chain(data::models(&[COPYROOM])) {
         let with = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
             pool.install(|| run(files.clone(), &options()))
@@ -200,8 +201,7 @@ fn exact(files: Vec<File>) -> Value {
 
 #[test]
 fn nothing_is_resampled_where_nothing_may_be() {
-    for name in [COPYROOM, "scans/ycb_002_master_chef_can/textured.obj"] {
-        let Some(files) = data::model(name) else { continue };
+    for (name, files) in data::models(&[COPYROOM, "scans/ycb_002_master_chef_can/textured.obj"]) {
         let report = exact(files);
         println!("{}", tell(name, &report));
         let [before, after] = charts(&report);
@@ -227,8 +227,7 @@ fn cuts_heal_without_resampling() {
 
 #[test]
 fn the_published_search_merges_too() {
-    for (name, files) in [("sample.scan", Some(made("scan"))), (COPYROOM, data::model(COPYROOM))] {
-        let Some(files) = files else { continue };
+    for (name, files) in std::iter::once(("sample.scan", made("scan"))).chain(data::models(&[COPYROOM])) {
         let mut options = options();
         options.defrag.search = Search::Paper;
         let report = run(files, &options).report;

@@ -255,13 +255,16 @@ fn damaged_input_is_answered_soon_and_in_bounded_memory() {
 #[test]
 fn options_survive_a_round_trip_whatever_they_are() {
     let base = serde_json::to_value(Options::default()).expect("options");
+    let mut taken = 0;
     for number in 0..2000 {
         let mut value = base.clone();
         mutate::document(&mut Random::new(number), &mut value);
         if let Ok(options) = parse::options(&value) {
+            taken += 1;
             let written = serde_json::to_value(&options).expect("options");
             assert_eq!(parse::options(&written).expect("what was written is read"), options, "case {number}: {value}");
         }
     }
+    assert!((1..2000).contains(&taken), "{taken} of 2000 are taken");
     assert!(parse::options(&json!({})).is_ok());
 }

@@ -54,7 +54,7 @@ fn gltf(images: &Value, others: Value) -> Vec<u8> {
 #[test]
 fn samples_count_what_is_decoded_of_them() {
     for name in ["textured", "two_materials", "strips", "scan"] {
-        let bytes = sample::sample(name).unwrap();
+        let bytes = sample::made(name).to_vec();
         let (document, _) =
             load(&[File { path: "m.glb".into(), bytes: bytes.clone() }], None, &Limits::default()).unwrap();
         let images: Vec<_> = document.images.iter().flatten().map(|i| decode(i, u64::MAX).unwrap()).collect();
@@ -74,7 +74,7 @@ fn samples_count_what_is_decoded_of_them() {
 
 #[test]
 fn an_archive_needs_what_is_in_it_and_itself() {
-    let model = sample::sample("textured").unwrap();
+    let model = sample::made("textured").to_vec();
     let plain = estimated(&[("m.glb", &model)]);
     let archive = zip(&[("a/m.glb", &model), ("a/readme.txt", b"hello")]);
     let packed = estimated(&[("m.zip", &archive)]);
@@ -171,7 +171,7 @@ fn faces_of_an_obj_are_counted() {
 
 #[test]
 fn what_is_cut_short_or_broken_counts_by_its_length() {
-    let model = sample::sample("two_materials").unwrap();
+    let model = sample::made("two_materials").to_vec();
     let archive = zip(&[("m.glb", &model)]);
     let whole = estimated(&[("m.glb", &model)]);
     for (name, bytes) in [("m.glb", &model), ("m.zip", &archive)] {

@@ -103,12 +103,15 @@ mod tests {
         for round in [Rounding::Free, Rounding::MultipleOf(4.0), Rounding::PowerOfTwo(4.0)] {
             for aspect in [None, Some(1.0), Some(2.0)] {
                 let goal = Goal { cell: 1.0, margin: 2.0, aspect, round, max: [4000; 2], least: 1.0 };
+                let mut shrunk = 0;
                 for _ in 0..300 {
                     let (w, h) = (20 + random.below(500) as i32, 20 + random.below(500) as i32);
                     if let Some((a, b)) = goal.shrink(w, h, 0.01, 0.2, &mut random) {
                         assert!(goal.cost(a, b) < goal.cost(w, h), "{round:?} {aspect:?} {w}x{h} -> {a}x{b}");
+                        shrunk += 1;
                     }
                 }
+                assert!(shrunk > 0, "{round:?} {aspect:?}: no box was made smaller");
             }
         }
     }

@@ -65,6 +65,7 @@ fn gap(a: &[DVec2; 3], b: &[DVec2; 3]) -> f64 {
 /// Pieces keep the gutter between them and the margin to the sheet's sides.
 fn check(request: &Request<'_>, packing: &Packing) {
     let Spacing { gutter, margin, .. } = request.spacing;
+    assert_eq!(packing.placements.len(), request.pieces.len());
     let placed: Vec<Vec<[DVec2; 3]>> = request
         .pieces
         .iter()
