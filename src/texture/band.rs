@@ -2,12 +2,13 @@
 
 use glam::DVec2;
 
-use super::codec::{Codec, Depth, Space, alpha_channel};
+use super::codec::{Codec, Space, alpha_channel};
 use super::cover::{Band, NOBODY, Page};
 use super::direction::{Turn, turn_vector};
 use super::map::{Map, Maps};
 use super::refit::{Field, HALO, POINTS};
 use super::sample::{Footprint, Sampler};
+use super::samples::Depth;
 use super::{Alpha, Bake};
 use crate::context::Context;
 use crate::error::Result;

@@ -1,52 +1,7 @@
 //! Between the samples of a file and the numbers that filters work on.
 
-use super::{Direction, Role, Samples};
-
-/// A sample's type: 8 or 16 bits.
-pub(crate) trait Depth: Copy + Default + Eq + Send + Sync + 'static {
-    /// The largest value.
-    const MAX: u32;
-    /// As a number in `0..=MAX`.
-    fn value(self) -> u32;
-    /// From a number in `0..=MAX`.
-    fn from_value(value: u32) -> Self;
-    /// As an image holds them.
-    fn samples(all: Vec<Self>) -> Samples;
-    /// The samples of an image, where they are of this type.
-    fn of(samples: &Samples) -> Option<&[Self]>;
-}
-
-impl Depth for u8 {
-    const MAX: u32 = 255;
-    fn value(self) -> u32 {
-        u32::from(self)
-    }
-    fn from_value(value: u32) -> Self {
-        value as u8
-    }
-    fn samples(all: Vec<Self>) -> Samples {
-        Samples::U8(all)
-    }
-    fn of(samples: &Samples) -> Option<&[Self]> {
-        if let Samples::U8(all) = samples { Some(all) } else { None }
-    }
-}
-
-impl Depth for u16 {
-    const MAX: u32 = 65_535;
-    fn value(self) -> u32 {
-        u32::from(self)
-    }
-    fn from_value(value: u32) -> Self {
-        value as u16
-    }
-    fn samples(all: Vec<Self>) -> Samples {
-        Samples::U16(all)
-    }
-    fn of(samples: &Samples) -> Option<&[Self]> {
-        if let Samples::U16(all) = samples { Some(all) } else { None }
-    }
-}
+use super::samples::Depth;
+use super::{Direction, Role};
 
 /// What the colour channels hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

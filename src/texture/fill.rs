@@ -6,7 +6,8 @@
 use rayon::prelude::*;
 
 use super::Direction;
-use super::codec::{Codec, Depth, Space, alpha_channel};
+use super::codec::{Codec, Space, alpha_channel};
+use super::samples::Depth;
 use crate::context::Context;
 use crate::error::Result;
 

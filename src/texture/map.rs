@@ -117,7 +117,7 @@ impl Maps {
 
 /// Texels of an uploaded image by texels of the reference sheet.
 pub(crate) fn source_scale(source: &Source<'_>) -> DVec2 {
-    let size = DVec2::new(f64::from(source.image.width), f64::from(source.image.height));
+    let size = DVec2::new(f64::from(source.image.width()), f64::from(source.image.height()));
     size / DVec2::new(f64::from(source.sheet[0].max(1)), f64::from(source.sheet[1].max(1)))
 }
 

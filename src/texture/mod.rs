@@ -15,8 +15,8 @@ mod map;
 mod options;
 mod refit;
 mod sample;
+mod samples;
 mod slot;
-mod widen;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
 pub(crate) use codec::linear_to_srgb;
@@ -25,6 +25,8 @@ pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};
 pub use options::{Overflow, Size, Texture, TextureFormat};
+pub(crate) use samples::from_samples;
+pub use samples::{depth, neutral, texel, widened};
 pub use slot::{Reading, Slot};
 
 use serde::{Deserialize, Serialize};
@@ -216,28 +218,6 @@ impl Format {
             Format::Ktx2 => "image/ktx2",
         }
     }
-}
-
-/// Samples at their native depth, row by row from the top, channels interleaved.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Samples {
-    /// 8 bits a channel.
-    U8(Vec<u8>),
-    /// 16 bits a channel.
-    U16(Vec<u16>),
-}
-
-/// A decoded image.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Image {
-    /// Width in texels, at least 1.
-    pub width: u32,
-    /// Height in texels, at least 1.
-    pub height: u32,
-    /// 1 grey, 2 grey and alpha, 3 RGB, 4 RGBA.
-    pub channels: u8,
-    /// `width * height * channels` samples.
-    pub samples: Samples,
 }
 
 /// What a header says, before anything is decoded.

@@ -8,8 +8,9 @@
 
 use glam::{DMat2, DVec2, Vec2};
 
-use super::codec::{Codec, Depth, Space, alpha_channel};
+use super::codec::{Codec, Space, alpha_channel};
 use super::direction::{doubled, halved};
+use super::samples::Depth;
 use super::{Direction, Wrap};
 
 /// Texels of the uploaded image by new texel, along the longer axis, from which the kernel is stretched.
