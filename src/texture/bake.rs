@@ -161,7 +161,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         }
         let footprint = |map: &Map| match map {
             Map::Exact { .. } => None,
-            Map::Affine { linear, .. } => Some(Footprint::new(*linear)),
+            Map::Affine { to_source, .. } => Some(Footprint::new(to_source.matrix2)),
         };
         let footprints = maps.all.iter().map(footprint).collect();
         let baker = Baker { job, samplers, codec: &codec, shown: &shown, maps, footprints, context, cutoff };

@@ -1,6 +1,6 @@
 //! From the texels of the new sheets back to the uploaded image, face by face, through provenance alone.
 
-use glam::{DMat2, DVec2};
+use glam::{DAffine2, DMat2, DVec2};
 
 use super::direction::{Turn, nearest_orthogonal};
 use super::{Bake, Source, page_size};
@@ -26,12 +26,10 @@ pub(crate) enum Map {
         /// In texels.
         shift: [i64; 2],
     },
-    /// Resampled: the uploaded point is `linear * point + shift`.
+    /// Resampled.
     Affine {
-        /// Texels of the uploaded image by texels of the sheet.
-        linear: DMat2,
-        /// In texels of the uploaded image.
-        shift: DVec2,
+        /// From texels of the sheet to texels of the uploaded image.
+        to_source: DAffine2,
         /// How directions turn, in texels of the reference sheet, whose axes have equal units.
         rotation: DMat2,
     },
@@ -42,7 +40,7 @@ impl Map {
     pub(crate) fn apply(&self, point: DVec2) -> DVec2 {
         match *self {
             Map::Exact { turn, shift } => turn.matrix() * point + DVec2::new(shift[0] as f64, shift[1] as f64),
-            Map::Affine { linear, shift, .. } => linear * point + shift,
+            Map::Affine { to_source, .. } => to_source.transform_point2(point),
         }
     }
 
@@ -244,7 +242,8 @@ impl Builder<'_> {
             * linear
             * DMat2::from_diagonal(self.sheet_scale[page]);
         let rotation = nearest_orthogonal(in_reference);
-        Map::Affine { linear, shift: p[longest.0] - linear * q[longest.0], rotation }
+        let to_source = DAffine2::from_mat2_translation(linear, p[longest.0] - linear * q[longest.0]);
+        Map::Affine { to_source, rotation }
     }
 }
 
