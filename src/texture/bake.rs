@@ -5,13 +5,13 @@ use glam::DVec2;
 use image::{ColorType, DynamicImage};
 use rayon::prelude::*;
 
-use super::band::{Baker, Counts, state};
-use super::codec::{Codec, Space, alpha_channel};
-use super::cover::Page;
-use super::fill::fill;
-use super::map::{Map, Maps};
-use super::sample::{Footprint, Sampler};
-use super::samples::{Depth, from_samples};
+use super::baker::{Baker, Counts, state};
+use super::coverage::PageRaster;
+use super::pixels::{Depth, from_samples};
+use super::push_pull::push_pull;
+use super::sampler::{Footprint, Sampler};
+use super::texel_map::{TexelMap, TexelMaps};
+use super::transfer::{Space, Transfer, alpha_channel};
 use super::{Alpha, Wrap};
 use crate::atlas::{Atlas, Charts, Topology};
 use crate::context::Context;
@@ -135,13 +135,13 @@ pub fn bake(job: &Bake<'_>, context: &Context) -> Result<Baked> {
 impl<T: Depth, const C: usize> Baker<'_, T, C> {
     fn run(job: &Bake<'_>, context: &Context) -> Result<Baked> {
         let topology = Topology::new(job.after);
-        let maps = Maps::new(job, &Charts::new(&topology))?;
-        let codec = Codec::new(Space::of(job.slot.role, job.channels()));
+        let maps = TexelMaps::new(job, &Charts::new(&topology))?;
+        let transfer = Transfer::new(Space::of(job.slot.role, job.channels()));
         let cutoff = match job.slot.alpha {
             Alpha::Mask(cutoff) if alpha_channel(C).is_some() && cutoff > 0.0 && cutoff <= 1.0 => Some(cutoff as f32),
             _ => None,
         };
-        let shown = codec.shown();
+        let shown = transfer.shown();
         let mut samplers = Vec::with_capacity(job.sources.len());
         for source in &job.sources {
             let image = source.image;
@@ -154,17 +154,17 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
                 texels,
                 size,
                 wrap: source.wrap,
-                codec: &codec,
+                transfer: &transfer,
                 shown: &shown,
                 premultiply,
             });
         }
-        let footprint = |map: &Map| match map {
-            Map::Exact { .. } => None,
-            Map::Affine { to_source, .. } => Some(Footprint::new(to_source.matrix2)),
+        let footprint = |map: &TexelMap| match map {
+            TexelMap::Exact { .. } => None,
+            TexelMap::Affine { to_source, .. } => Some(Footprint::new(to_source.matrix2)),
         };
         let footprints = maps.all.iter().map(footprint).collect();
-        let baker = Baker { job, samplers, codec: &codec, shown: &shown, maps, footprints, context, cutoff };
+        let baker = Baker { job, samplers, transfer: &transfer, shown: &shown, maps, footprints, context, cutoff };
         let mut pages = Vec::new();
         let mut verbatim_texels = 0;
         for page in 0..job.after.sheets.len() {
@@ -173,7 +173,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             verbatim_texels += copied;
         }
         let verbatim_face: Vec<bool> =
-            (0..job.after.face_count()).map(|f| matches!(baker.maps.get(f), Some(Map::Exact { .. }))).collect();
+            (0..job.after.face_count()).map(|f| matches!(baker.maps.get(f), Some(TexelMap::Exact { .. }))).collect();
         let (mut all, mut resampled) = (0.0, 0.0);
         for face in job.after.faces().filter(|f| baker.maps.counts(f.index())) {
             let area = job.after.area(face);
@@ -192,7 +192,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         }
         let (width, height) = (w as usize, h as usize);
         let page = u16::try_from(index).map_err(|_| Failure::internal("there are too many sheets"))?;
-        let page = Page::new(self.job.after, topology, &self.maps, page, [w, h], self.job.bleed);
+        let page = PageRaster::new(self.job.after, topology, &self.maps, page, [w, h], self.job.bleed);
         let rows = (BAND_TEXELS / w).clamp(32, 256);
         let band = width * rows as usize;
         let mut texels = vec![T::default(); width * height * C];
@@ -219,7 +219,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
                 }
             });
         }
-        fill::<T, C>(&mut texels, &states, width, self.codec, self.context)?;
+        push_pull::<T, C>(&mut texels, &states, width, self.transfer, self.context)?;
         Ok((from_samples([w, h], C as u8, texels)?, copied))
     }
 }

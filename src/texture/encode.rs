@@ -5,7 +5,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::codecs::webp::WebPEncoder;
 use jpeg_encoder::SamplingFactor;
 
-use super::samples::Depth;
+use super::pixels::Depth;
 use super::{Format, depth};
 use crate::error::{Failure, Result};
 

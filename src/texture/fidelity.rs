@@ -6,8 +6,8 @@ use glam::{DMat2, DVec2, DVec3};
 use image::DynamicImage;
 use rayon::prelude::*;
 
-use super::map::{Map, Maps, source_scale};
-use super::samples::Depth;
+use super::pixels::Depth;
+use super::texel_map::{TexelMap, TexelMaps, source_scale};
 use super::{Bake, Baked, Direction, Source, Wrap, texel};
 use crate::atlas::{Charts, Topology};
 use crate::context::Context;
@@ -51,7 +51,7 @@ pub fn fidelity(job: &Bake<'_>, baked: &Baked, samples: u32, context: &Context) 
     if baked.pages.len() != job.after.sheets.len() {
         return Err(Failure::internal("a baked slot does not have the pages of its atlas"));
     }
-    let maps = Maps::new(job, &Charts::new(&Topology::new(job.after)))?;
+    let maps = TexelMaps::new(job, &Charts::new(&Topology::new(job.after)))?;
     let comparison = Comparison {
         job,
         pages: &baked.pages,
@@ -85,7 +85,7 @@ struct Point {
 }
 
 /// Points in the order of faces, one in each stratum of equal area.
-fn scatter(job: &Bake<'_>, maps: &Maps, samples: u32, seed: u64) -> Vec<Point> {
+fn scatter(job: &Bake<'_>, maps: &TexelMaps, samples: u32, seed: u64) -> Vec<Point> {
     let faces: Vec<(u32, f64)> = job
         .after
         .faces()
@@ -227,7 +227,7 @@ struct Comparison<'a> {
     /// By source: its texels by reference texel.
     scales: Vec<DVec2>,
     page_mips: Vec<Mip>,
-    maps: &'a Maps,
+    maps: &'a TexelMaps,
 }
 
 #[derive(Default)]
@@ -290,7 +290,7 @@ impl Comparison<'_> {
     }
 
     /// An encoded value of the uploaded image as it stands on the new sheet: directions turn.
-    fn turned(&self, value: [f64; 4], map: &Map) -> [f64; 4] {
+    fn turned(&self, value: [f64; 4], map: &TexelMap) -> [f64; 4] {
         if self.direction.is_none() {
             return value;
         }
@@ -301,7 +301,7 @@ impl Comparison<'_> {
     }
 
     /// Whether the texels that bilinear filtering reads at a point of a page are the uploaded ones.
-    fn is_exact(&self, map: &Map, from: &Source<'_>, page: usize, point: DVec2) -> bool {
+    fn is_exact(&self, map: &TexelMap, from: &Source<'_>, page: usize, point: DVec2) -> bool {
         let (source, image) = (from.image, &self.pages[page]);
         let base = (point - 0.5).floor();
         let t = point - 0.5 - base;
@@ -312,14 +312,14 @@ impl Comparison<'_> {
         };
         let texels = read(t.y).flat_map(|dy| read(t.x).map(move |dx| base + DVec2::new(dx as f64, dy as f64) + 0.5));
         match map {
-            Map::Exact { .. } => texels.into_iter().all(|texel| {
+            TexelMap::Exact { .. } => texels.into_iter().all(|texel| {
                 let old = self.turned(at(source, map.apply(texel), from.wrap), map);
                 let new = at(image, texel, [Wrap::ClampToEdge; 2]);
                 // Turning a number and turning its code differ by rounding of the double only.
                 old.iter().zip(new).all(|(a, b)| (a - b).abs() < 1e-9)
             }),
             // Resampled texels are equal only where nothing changes.
-            Map::Affine { .. } => {
+            TexelMap::Affine { .. } => {
                 let base = (map.apply(point) - 0.5).floor() + 0.5;
                 let old = at(source, base, from.wrap);
                 let same = |v: [f64; 4]| self.turned(v, map).iter().zip(self.turned(old, map)).all(|(a, b)| *a == b);

@@ -3,31 +3,31 @@
 //! All images are kept at their native depth and channel count; one slot at a time is in memory.
 
 mod bake;
-mod band;
-mod codec;
-mod cover;
+mod baker;
+mod bilinear_fit;
+mod coverage;
 mod decode;
 mod direction;
 mod encode;
 mod fidelity;
-mod fill;
-mod map;
 mod options;
-mod refit;
-mod sample;
-mod samples;
+mod pixels;
+mod push_pull;
+mod sampler;
 mod slot;
+mod texel_map;
+mod transfer;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
-pub(crate) use codec::linear_to_srgb;
 pub use decode::{decode, header, is_lossy, probe};
 pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};
 pub use options::{Overflow, Size, Texture, TextureFormat};
-pub(crate) use samples::from_samples;
-pub use samples::{depth, neutral, texel, widened};
+pub(crate) use pixels::from_samples;
+pub use pixels::{depth, neutral, texel, widened};
 pub use slot::{Reading, Slot};
+pub(crate) use transfer::linear_to_srgb;
 
 use serde::{Deserialize, Serialize};
 
@@ -235,7 +235,5 @@ pub struct Header {
     pub format: Format,
 }
 
-#[cfg(test)]
-mod real;
 #[cfg(test)]
 mod tests;

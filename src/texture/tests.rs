@@ -2,6 +2,7 @@
 
 mod density;
 mod directions;
+mod scans;
 
 use glam::{DMat2, DVec2, DVec3};
 use image::DynamicImage;

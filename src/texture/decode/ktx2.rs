@@ -8,7 +8,7 @@ use image::DynamicImage;
 
 use super::{check_sides, check_size, invalid};
 use crate::error::{Failure, Result};
-use crate::texture::samples::{Depth, from_samples};
+use crate::texture::pixels::{Depth, from_samples};
 use crate::texture::{Format, Header};
 
 /// First bytes of every KTX2 file.

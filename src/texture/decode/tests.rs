@@ -3,7 +3,7 @@
 use super::fixture::*;
 use super::*;
 use crate::texture::encode::tests::picture;
-use crate::texture::samples::{Depth, from_samples};
+use crate::texture::pixels::{Depth, from_samples};
 use crate::texture::{encode, widened};
 
 #[test]

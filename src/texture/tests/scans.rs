@@ -6,7 +6,6 @@ use std::time::Instant;
 use glam::{DMat2, DVec2, DVec3};
 use image::DynamicImage;
 
-use super::tests::slot;
 use super::*;
 use crate::atlas::{Atlas, FaceId, Provenance, UvId, VertexId};
 use crate::context::Context;
