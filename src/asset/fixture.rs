@@ -1,10 +1,11 @@
 //! Small documents made by code, for the tests of this room.
 
+use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
 
 use super::merge::Merging;
 use super::{ARRAY_BUFFER, Document, RawAccessor};
-use crate::texture::{Alpha, Format, Header, Image, Role, Samples, Wrap, encode};
+use crate::texture::{Alpha, Format, Header, Role, Wrap, encode};
 use crate::texture::{Reading, Slot};
 
 /// A base-colour slot that repeats.
@@ -24,8 +25,7 @@ pub(crate) fn slot(image: usize, size: [u32; 2]) -> Slot {
 
 /// A PNG of one colour.
 pub(crate) fn png(width: u32, height: u32) -> Vec<u8> {
-    let samples = Samples::U8(vec![100; (width * height * 3) as usize]);
-    encode(&Image { width, height, channels: 3, samples }, Format::Png, 90).unwrap()
+    encode(&RgbImage::from_pixel(width, height, Rgb([100; 3])).into(), Format::Png, 90).unwrap()
 }
 
 /// A document without meshes: images of the sizes given, a texture for each, a material "m" that reads texture 0

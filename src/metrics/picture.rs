@@ -1,6 +1,8 @@
 //! A picture of a layout: charts in colours of their own, seams dark, what overlaps hatched in red.
 
 use glam::DVec2;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 
 use super::boundary::page_boxes;
@@ -139,16 +141,9 @@ fn colour(chart: usize) -> [f32; 3] {
 
 fn encode(width: u32, height: u32, pixels: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, width, height);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::Balanced);
-    encoder.set_filter(png::Filter::NoFilter);
+    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::NoFilter);
     // Writing to memory cannot fail: the size is in range and the pixels are as many as it says.
-    let written = encoder.write_header().and_then(|mut w| {
-        w.write_image_data(pixels)?;
-        w.finish()
-    });
+    let written = encoder.write_image(pixels, width, height, ExtendedColorType::Rgb8);
     debug_assert!(written.is_ok());
     bytes
 }
@@ -159,10 +154,8 @@ mod tests {
     use crate::atlas::testing::{join, sheet};
 
     fn decode(bytes: &[u8]) -> Option<(usize, usize, Vec<u8>)> {
-        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().ok()?;
-        let mut pixels = vec![0; reader.output_buffer_size()?];
-        let info = reader.next_frame(&mut pixels).ok()?;
-        Some((info.width as usize, info.height as usize, pixels))
+        let image = crate::texture::decode(bytes, 1 << 26).ok()?;
+        Some((image.width() as usize, image.height() as usize, image.into_rgb8().into_raw()))
     }
 
     fn red(pixels: &[u8]) -> usize {

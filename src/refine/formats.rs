@@ -1,10 +1,12 @@
 //! In which format a refined texture is written, and what is to be said about it.
 
+use image::DynamicImage;
+
 use crate::context::Context;
 use crate::error::Warning;
 use crate::texture::Slot;
 use crate::texture::TextureFormat;
-use crate::texture::{Format, Image, Samples, WEBP_SIDE};
+use crate::texture::{Format, WEBP_SIDE, depth};
 
 /// An uploaded file that a slot is read from.
 #[derive(Debug, Clone, Copy)]
@@ -52,23 +54,23 @@ impl<'a> Plan<'a> {
     }
 
     /// The format of a page: PNG where the one that is wanted cannot hold it.
-    pub(super) fn of(&self, page: &Image) -> Format {
+    pub(super) fn of(&self, page: &DynamicImage) -> Format {
         if self.obstacle(page).is_some() { Format::Png } else { self.wanted }
     }
 
     /// What the wanted format cannot hold.
-    fn obstacle(&self, page: &Image) -> Option<&'static str> {
-        let deep = matches!(page.samples, Samples::U16(_));
+    fn obstacle(&self, page: &DynamicImage) -> Option<&'static str> {
+        let deep = depth(page) > 8;
         match self.wanted {
-            Format::Jpeg if deep || page.channels.is_multiple_of(2) => Some("alpha or 16 bits, which JPEG cannot hold"),
+            Format::Jpeg if deep || page.color().has_alpha() => Some("alpha or 16 bits, which JPEG cannot hold"),
             Format::Webp if deep => Some("16 bits, which WebP cannot hold"),
-            Format::Webp if page.width.max(page.height) > WEBP_SIDE => Some("a side that is too long for WebP"),
+            Format::Webp if page.width().max(page.height()) > WEBP_SIDE => Some("a side that is too long for WebP"),
             _ => None,
         }
     }
 
     /// Warns of what the user may not expect of the pages, written in `after` bytes.
-    pub(super) fn warn(&self, pages: &[Image], after: u64, context: &Context) {
+    pub(super) fn warn(&self, pages: &[DynamicImage], after: u64, context: &Context) {
         let name = &self.slot.name;
         let warn = |code: &str, text: String| {
             context.warn(Warning::new(code, text).at(format!("/images/{}", self.slot.image)));
@@ -93,15 +95,18 @@ impl<'a> Plan<'a> {
 mod tests {
     use super::*;
     use crate::asset::fixture;
+    use crate::texture::from_samples;
 
-    fn page(channels: u8, deep: bool, width: u32) -> Image {
+    fn page(channels: u8, deep: bool, width: u32) -> DynamicImage {
         let count = width as usize * usize::from(channels);
-        let samples = if deep { Samples::U16(vec![0; count]) } else { Samples::U8(vec![0; count]) };
-        Image { width, height: 1, channels, samples }
+        match deep {
+            true => from_samples([width, 1], channels, vec![0u16; count]).unwrap(),
+            false => from_samples([width, 1], channels, vec![0u8; count]).unwrap(),
+        }
     }
 
     /// The format that a page becomes, and the codes of the warnings.
-    fn written(uploaded: Format, lossy: bool, wanted: TextureFormat, page: Image) -> (Format, Vec<String>) {
+    fn written(uploaded: Format, lossy: bool, wanted: TextureFormat, page: DynamicImage) -> (Format, Vec<String>) {
         let mut slot = fixture::slot(0, [8, 8]);
         slot.header.format = uploaded;
         let plan = Plan::new(&slot, vec![Upload { format: uploaded, lossy, bytes: 100 }], wanted);

@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 
+use image::DynamicImage;
 use serde_json::Value;
 
 use super::options::ImportanceSource;
@@ -13,7 +14,7 @@ use crate::asset::{self, ComponentType, Document, File, Kind, Limits, PrimitiveR
 use crate::atlas::Provenance;
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
-use crate::texture::{Image, Samples, Wrap, decode};
+use crate::texture::{Wrap, decode, texel};
 
 /// Weight of what the source says nothing of.
 const ORDINARY: f64 = 1.0;
@@ -191,21 +192,17 @@ fn from_texture(name: &str, subjects: &[Subject<'_>], limits: &Limits, context: 
 }
 
 /// The first channel (red, or grey) at a point in units of the image, which repeats; bilinear, in 0..=1.
-fn first_channel(image: &Image, uv: glam::DVec2) -> f64 {
-    let size = [i64::from(image.width), i64::from(image.height)];
+fn first_channel(image: &DynamicImage, uv: glam::DVec2) -> f64 {
+    let size = [i64::from(image.width()), i64::from(image.height())];
     let p = uv.rem_euclid(glam::DVec2::ONE) * glam::DVec2::new(size[0] as f64, size[1] as f64) - 0.5;
     let base = p.floor();
     let t = p - base;
-    let texel = |dx: i64, dy: i64| {
+    let value = |dx: i64, dy: i64| {
         let x = Wrap::Repeat.texel(base.x as i64 + dx, size[0]);
         let y = Wrap::Repeat.texel(base.y as i64 + dy, size[1]);
-        let index = (y * size[0] + x) as usize * usize::from(image.channels);
-        match &image.samples {
-            Samples::U8(s) => f64::from(s[index]) / 255.0,
-            Samples::U16(s) => f64::from(s[index]) / 65_535.0,
-        }
+        texel(image, x as u32, y as u32)[0]
     };
-    let row = |dy: i64| texel(0, dy) * (1.0 - t.x) + texel(1, dy) * t.x;
+    let row = |dy: i64| value(0, dy) * (1.0 - t.x) + value(1, dy) * t.x;
     row(0) * (1.0 - t.y) + row(1) * t.y
 }
 

@@ -3,6 +3,7 @@
 mod merge;
 
 use glam::{DVec2, DVec3, DVec4};
+use image::DynamicImage;
 use serde_json::{Value, json};
 
 use super::pack::pack;
@@ -14,7 +15,7 @@ use crate::asset::{
 };
 use crate::atlas::{Atlas, Charts, Topology};
 use crate::context::Context;
-use crate::texture::{Header, Image, Role, Samples, decode, header};
+use crate::texture::{Header, Role, decode, header, texel};
 
 fn uploaded(name: &str) -> File {
     File { path: format!("{name}.glb"), bytes: sample::made(name).to_vec() }
@@ -223,7 +224,7 @@ fn shading(doc: &Document, scale: f64) -> Vec<DVec3> {
                 let t = blend(&|k| DVec4::from(tangents[k].map(f64::from)));
                 let (t, w) = (t.truncate().normalize(), t.w.signum());
                 let uv = blend(&|k| DVec2::from(uvs[corners[k]].map(f64::from)).extend(0.0).extend(0.0));
-                let size = DVec2::new(f64::from(image.width), f64::from(image.height));
+                let size = DVec2::new(f64::from(image.width()), f64::from(image.height()));
                 let v = bilinear(&image, uv.truncate().truncate() * size);
                 let v = DVec3::new(v.x * scale, v.y * scale, v.z);
                 out.push((t * v.x + n.cross(t) * w * v.y + n * v.z).normalize());
@@ -234,17 +235,16 @@ fn shading(doc: &Document, scale: f64) -> Vec<DVec3> {
 }
 
 /// The direction at a point, in texels; the image repeats.
-fn bilinear(image: &Image, point: DVec2) -> DVec3 {
-    let Samples::U8(samples) = &image.samples else { panic!("8 bits are expected") };
+fn bilinear(image: &DynamicImage, point: DVec2) -> DVec3 {
     let (base, t) = ((point - 0.5).floor(), point - 0.5 - (point - 0.5).floor());
     let mut out = DVec3::ZERO;
     for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-        let wrap = |v: f64, d: i64, n: u32| (v as i64 + d).rem_euclid(i64::from(n)) as usize;
-        let at = (wrap(base.y, dy, image.height) * image.width as usize + wrap(base.x, dx, image.width)) * 3;
+        let wrap = |v: f64, d: i64, n: u32| (v as i64 + d).rem_euclid(i64::from(n)) as u32;
+        let [x, y, z, _] = texel(image, wrap(base.x, dx, image.width()), wrap(base.y, dy, image.height()));
         let weight = (if dx == 1 { t.x } else { 1.0 - t.x }) * (if dy == 1 { t.y } else { 1.0 - t.y });
-        out += weight * DVec3::new(f64::from(samples[at]), f64::from(samples[at + 1]), f64::from(samples[at + 2]));
+        out += weight * DVec3::new(x, y, z);
     }
-    out / 127.5 - 1.0
+    out * 2.0 - 1.0
 }
 
 #[test]

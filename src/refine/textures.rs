@@ -1,6 +1,7 @@
 //! The images of one Atlas, slot by slot: decode, bake, compare, encode.
 
 use glam::DVec2;
+use image::DynamicImage;
 
 use super::formats::{Plan, Upload};
 use super::group::{Group, Member};
@@ -12,8 +13,8 @@ use crate::error::{Code, Failure, Result};
 use crate::texture::Slot;
 use crate::texture::Texture;
 use crate::texture::{
-    Alpha, Bake, Direction, FIDELITY_SAMPLES, Fidelity, Format, Image, Role, Samples, Source, Wrap, bake, decode,
-    encode, fidelity, is_lossy,
+    Alpha, Bake, Direction, FIDELITY_SAMPLES, Fidelity, Format, Role, Source, Wrap, bake, decode, encode, fidelity,
+    is_lossy, neutral, texel, widened,
 };
 
 /// Texels about each chart that are taken from the uploaded image: enough for mip levels 0 to 2.
@@ -51,7 +52,7 @@ pub struct Images<'a> {
     group: &'a Group,
     max_pixels: u64,
     /// Those of the first slot that is baked, or why there are none, when they have been decoded.
-    first: Option<Result<Vec<Image>>>,
+    first: Option<Result<Vec<DynamicImage>>>,
 }
 
 impl<'a> Images<'a> {
@@ -68,7 +69,7 @@ impl<'a> Images<'a> {
     }
 
     /// The images of a slot, with its channels and bits, in the order of its sources.
-    fn decoded(&self, index: usize, slot: &Slot) -> Result<Vec<Image>> {
+    fn decoded(&self, index: usize, slot: &Slot) -> Result<Vec<DynamicImage>> {
         let mut images = Vec::new();
         for (member, own) in self.group.sources(index) {
             let image = member.set.slots[own].image;
@@ -77,7 +78,7 @@ impl<'a> Images<'a> {
                 .ok_or_else(|| Failure::new(Code::MissingFile, "the image is missing").at(&pointer))?;
             let decoded = decode(encoded, self.max_pixels).map_err(|f| f.at(&pointer))?;
             images.push(match self.group.is_joined() {
-                true => decoded.widened(slot.header.channels, slot.header.depth),
+                true => widened(decoded, slot.header.channels, slot.header.depth),
                 false => decoded,
             });
         }
@@ -139,25 +140,16 @@ pub fn exempt_uniform(doc: &Document, set: &mut TextureSet, max_pixels: u64, con
     Ok(())
 }
 
-fn is_uniform(image: &Image) -> bool {
-    fn all_equal<T: PartialEq>(samples: &[T], channels: usize) -> bool {
-        let mut texels = samples.chunks_exact(channels.max(1));
-        texels.next().is_none_or(|first| texels.all(|t| t == first))
-    }
-    let channels = usize::from(image.channels);
-    match &image.samples {
-        Samples::U8(samples) => all_equal(samples, channels),
-        Samples::U16(samples) => all_equal(samples, channels),
-    }
+fn is_uniform(image: &DynamicImage) -> bool {
+    let mut texels = image.as_bytes().chunks_exact(usize::from(image.color().bytes_per_pixel()));
+    texels.next().is_none_or(|first| texels.all(|t| t == first))
 }
 
 /// Whether the first texel of an image is a direction that another layout would turn: not the normal of the surface.
-fn turns(image: &Image, role: Role) -> bool {
-    let level = |c: usize| match &image.samples {
-        Samples::U8(s) => s.get(c).map_or(0.5, |v| f64::from(*v) / 255.0),
-        Samples::U16(s) => s.get(c).map_or(0.5, |v| f64::from(*v) / 65_535.0),
-    };
-    let flat = |c: usize| (level(c) - 0.5).abs() < 1.0 / 255.0;
+fn turns(image: &DynamicImage, role: Role) -> bool {
+    let first = texel(image, 0, 0);
+    let last = usize::from(image.color().channel_count()) - 1;
+    let flat = |c: usize| (first[c.min(last)] - 0.5).abs() < 1.0 / 255.0;
     role.is_direction() && !(role.direction() == Some(Direction::Normal) && flat(0) && flat(1))
 }
 
@@ -167,7 +159,7 @@ fn bake_slot(
     after: &Atlas,
     options: &Texture,
     (index, slot): (usize, &Slot),
-    images: Vec<Image>,
+    images: Vec<DynamicImage>,
     context: &Context,
 ) -> Result<BakedSlot> {
     let set = group.set();
@@ -190,7 +182,7 @@ fn bake_slot(
         }
     }
     // Faces of sets that do not have the slot.
-    let neutral = Image::neutral(slot.role, slot.header.channels, slot.header.depth);
+    let neutral = neutral(slot.role, slot.header.channels, slot.header.depth)?;
     let others: Vec<u32> = (0..set.primitives.len() as u32).filter(|p| !slot.primitives.contains(p)).collect();
     if group.is_joined() && !others.is_empty() {
         let (wrap, alpha, place) = ([Wrap::Repeat; 2], Alpha::Opaque, DVec2::ZERO);
@@ -215,7 +207,7 @@ fn bake_slot(
                 .map(|page| {
                     let format = plan.of(page);
                     let bytes = encode(page, format, options.jpeg_quality)?;
-                    Ok(BakedFile { size: [page.width, page.height], format, bytes })
+                    Ok(BakedFile { size: [page.width(), page.height()], format, bytes })
                 })
                 .collect::<Result<Vec<_>>>()
         },

@@ -2,15 +2,17 @@
 //! what nobody owns is filled.
 
 use glam::DVec2;
+use image::{ColorType, DynamicImage};
 use rayon::prelude::*;
 
-use super::band::{Baker, Counts, state};
-use super::codec::{Codec, Depth, Space, alpha_channel};
-use super::cover::Page;
-use super::fill::fill;
-use super::map::{Map, Maps};
-use super::sample::{Footprint, Sampler};
-use super::{Alpha, Image, Samples, Wrap};
+use super::baker::{Baker, Counts, state};
+use super::coverage::PageRaster;
+use super::pixels::{Depth, from_samples};
+use super::push_pull::push_pull;
+use super::sampler::{Footprint, Sampler};
+use super::texel_map::{TexelMap, TexelMaps};
+use super::transfer::{Space, Transfer, alpha_channel};
+use super::{Alpha, Wrap};
 use crate::atlas::{Atlas, Charts, Topology};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result};
@@ -44,7 +46,7 @@ pub struct Bake<'a> {
 #[derive(Clone, Copy)]
 pub struct Source<'a> {
     /// The decoded image.
-    pub image: &'a Image,
+    pub image: &'a DynamicImage,
     /// Wrap modes (S, T).
     pub wrap: [Wrap; 2],
     /// How alpha is treated.
@@ -66,7 +68,7 @@ impl<'a> Bake<'a> {
         after: &'a Atlas,
         reference: [u32; 2],
         slot: &'a Slot,
-        image: &'a Image,
+        image: &'a DynamicImage,
         bleed: u32,
     ) -> Self {
         let source = Source {
@@ -83,7 +85,7 @@ impl<'a> Bake<'a> {
 
     /// Channels of every image.
     pub(crate) fn channels(&self) -> u8 {
-        self.sources.first().map_or(0, |s| s.image.channels)
+        self.sources.first().map_or(0, |s| s.image.color().channel_count())
     }
 }
 
@@ -91,7 +93,7 @@ impl<'a> Bake<'a> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Baked {
     /// One image for each sheet of the refined Atlas, with the channels and depth of the source.
-    pub pages: Vec<Image>,
+    pub pages: Vec<DynamicImage>,
     /// Texels whose centre a face covers and that were copied unchanged.
     pub verbatim_texels: u64,
     /// 3D area of the faces that were resampled / 3D area of the faces that read the slot, in 0..=1.
@@ -117,55 +119,52 @@ pub fn page_size(job: &Bake<'_>, page: usize) -> [u32; 2] {
 /// Fails with `canceled`, with `too_large` for a page of more than 2^30 texels, with `internal` when the parts of the job do not
 /// belong together.
 pub fn bake(job: &Bake<'_>, context: &Context) -> Result<Baked> {
-    let deep = job.sources.first().is_some_and(|s| matches!(s.image.samples, Samples::U16(_)));
-    match (deep, job.channels()) {
-        (false, 1) => Baker::<u8, 1>::run(job, context),
-        (false, 2) => Baker::<u8, 2>::run(job, context),
-        (false, 3) => Baker::<u8, 3>::run(job, context),
-        (false, 4) => Baker::<u8, 4>::run(job, context),
-        (true, 1) => Baker::<u16, 1>::run(job, context),
-        (true, 2) => Baker::<u16, 2>::run(job, context),
-        (true, 3) => Baker::<u16, 3>::run(job, context),
-        (true, 4) => Baker::<u16, 4>::run(job, context),
-        (_, n) => Err(Failure::internal(format!("an image cannot have {n} channels"))),
+    match job.sources.first().map(|s| s.image.color()) {
+        Some(ColorType::L8) => Baker::<u8, 1>::run(job, context),
+        Some(ColorType::La8) => Baker::<u8, 2>::run(job, context),
+        Some(ColorType::Rgb8) => Baker::<u8, 3>::run(job, context),
+        Some(ColorType::Rgba8) => Baker::<u8, 4>::run(job, context),
+        Some(ColorType::L16) => Baker::<u16, 1>::run(job, context),
+        Some(ColorType::La16) => Baker::<u16, 2>::run(job, context),
+        Some(ColorType::Rgb16) => Baker::<u16, 3>::run(job, context),
+        Some(ColorType::Rgba16) => Baker::<u16, 4>::run(job, context),
+        other => Err(Failure::internal(format!("an image to bake cannot be {other:?}"))),
     }
 }
 
 impl<T: Depth, const C: usize> Baker<'_, T, C> {
     fn run(job: &Bake<'_>, context: &Context) -> Result<Baked> {
         let topology = Topology::new(job.after);
-        let maps = Maps::new(job, &Charts::new(&topology))?;
-        let codec = Codec::new(Space::of(job.slot.role, job.channels()));
+        let maps = TexelMaps::new(job, &Charts::new(&topology))?;
+        let transfer = Transfer::new(Space::of(job.slot.role, job.channels()));
         let cutoff = match job.slot.alpha {
             Alpha::Mask(cutoff) if alpha_channel(C).is_some() && cutoff > 0.0 && cutoff <= 1.0 => Some(cutoff as f32),
             _ => None,
         };
-        let shown = codec.shown();
+        let shown = transfer.shown();
         let mut samplers = Vec::with_capacity(job.sources.len());
         for source in &job.sources {
             let image = source.image;
-            let texels = T::of(&image.samples).unwrap_or_default();
-            let count = u64::from(image.width) * u64::from(image.height) * C as u64;
-            if count == 0 || texels.len() as u64 != count || usize::from(image.channels) != C {
-                return Err(Failure::internal("an image to bake does not hold the samples that it declares"));
-            }
-            let size = [i64::from(image.width), i64::from(image.height)];
+            let texels =
+                T::of(image).filter(|texels| !texels.is_empty() && usize::from(image.color().channel_count()) == C);
+            let texels = texels.ok_or_else(|| Failure::internal("the images of a slot are not of one kind"))?;
+            let size = [i64::from(image.width()), i64::from(image.height())];
             let premultiply = source.alpha == Alpha::Blend;
             samplers.push(Sampler::<T, C> {
                 texels,
                 size,
                 wrap: source.wrap,
-                codec: &codec,
+                transfer: &transfer,
                 shown: &shown,
                 premultiply,
             });
         }
-        let footprint = |map: &Map| match map {
-            Map::Exact { .. } => None,
-            Map::Affine { linear, .. } => Some(Footprint::new(*linear)),
+        let footprint = |map: &TexelMap| match map {
+            TexelMap::Exact { .. } => None,
+            TexelMap::Affine { to_source, .. } => Some(Footprint::new(to_source.matrix2)),
         };
         let footprints = maps.all.iter().map(footprint).collect();
-        let baker = Baker { job, samplers, codec: &codec, shown: &shown, maps, footprints, context, cutoff };
+        let baker = Baker { job, samplers, transfer: &transfer, shown: &shown, maps, footprints, context, cutoff };
         let mut pages = Vec::new();
         let mut verbatim_texels = 0;
         for page in 0..job.after.sheets.len() {
@@ -174,7 +173,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             verbatim_texels += copied;
         }
         let verbatim_face: Vec<bool> =
-            (0..job.after.face_count()).map(|f| matches!(baker.maps.get(f), Some(Map::Exact { .. }))).collect();
+            (0..job.after.face_count()).map(|f| matches!(baker.maps.get(f), Some(TexelMap::Exact { .. }))).collect();
         let (mut all, mut resampled) = (0.0, 0.0);
         for face in job.after.faces().filter(|f| baker.maps.counts(f.index())) {
             let area = job.after.area(face);
@@ -185,7 +184,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         Ok(Baked { pages, verbatim_texels, resampled_area, verbatim_face })
     }
 
-    fn page(&self, index: usize, topology: &Topology) -> Result<(Image, u64)> {
+    fn page(&self, index: usize, topology: &Topology) -> Result<(DynamicImage, u64)> {
         let [w, h] = page_size(self.job, index);
         if u64::from(w) * u64::from(h) > PAGE_TEXELS {
             let message = format!("a refined texture of {w} x {h} texels is beyond what can be baked");
@@ -193,7 +192,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         }
         let (width, height) = (w as usize, h as usize);
         let page = u16::try_from(index).map_err(|_| Failure::internal("there are too many sheets"))?;
-        let page = Page::new(self.job.after, topology, &self.maps, page, [w, h], self.job.bleed);
+        let page = PageRaster::new(self.job.after, topology, &self.maps, page, [w, h], self.job.bleed);
         let rows = (BAND_TEXELS / w).clamp(32, 256);
         let band = width * rows as usize;
         let mut texels = vec![T::default(); width * height * C];
@@ -220,9 +219,8 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
                 }
             });
         }
-        fill::<T, C>(&mut texels, &states, width, self.codec, self.context)?;
-        let image = Image { width: w, height: h, channels: C as u8, samples: T::samples(texels) };
-        Ok((image, copied))
+        push_pull::<T, C>(&mut texels, &states, width, self.transfer, self.context)?;
+        Ok((from_samples([w, h], C as u8, texels)?, copied))
     }
 }
 

@@ -11,7 +11,7 @@
 
 use glam::{DMat2, DVec2};
 
-use super::codec::Depth;
+use super::pixels::Depth;
 
 /// One of the eight symmetries of the texel grid, as the matrix from new to uploaded texels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,8 +1,12 @@
 //! Image files out.
 
+use image::DynamicImage;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::codecs::webp::WebPEncoder;
 use jpeg_encoder::SamplingFactor;
 
-use super::{Format, Image, Samples};
+use super::pixels::Depth;
+use super::{Format, depth};
 use crate::error::{Failure, Result};
 
 /// JPEG quality from which chroma keeps its full resolution.
@@ -13,16 +17,11 @@ pub(crate) const WEBP_SIDE: u32 = 16_383;
 
 /// Encodes an image with its own channels; PNG keeps the depth, JPEG (quality 1..=100) has 8 bits, and WebP (lossless) 8 bits in RGB or RGBA.
 ///
-/// Fails with `internal` when the image is inconsistent, has alpha for JPEG or 16 bits for WebP, is too large for the format, or the
+/// Fails with `internal` when the image is empty, has alpha for JPEG or 16 bits for WebP, is too large for the format, or the
 /// format is only read.
-pub fn encode(image: &Image, format: Format, jpeg_quality: u8) -> Result<Vec<u8>> {
-    let samples = match &image.samples {
-        Samples::U8(s) => s.len(),
-        Samples::U16(s) => s.len(),
-    };
-    let expected = u64::from(image.width) * u64::from(image.height) * u64::from(image.channels);
-    if image.width == 0 || image.height == 0 || samples as u64 != expected {
-        return Err(Failure::internal("an image to encode does not hold the samples that it declares"));
+pub fn encode(image: &DynamicImage, format: Format, jpeg_quality: u8) -> Result<Vec<u8>> {
+    if image.width() == 0 || image.height() == 0 {
+        return Err(Failure::internal("an image to encode has no texels"));
     }
     match format {
         Format::Png => encode_png(image),
@@ -32,81 +31,58 @@ pub fn encode(image: &Image, format: Format, jpeg_quality: u8) -> Result<Vec<u8>
     }
 }
 
-fn encode_png(image: &Image) -> Result<Vec<u8>> {
-    let failed = |e: png::EncodingError| Failure::internal(format!("a PNG cannot be written: {e}"));
-    let colour = match image.channels {
-        1 => png::ColorType::Grayscale,
-        2 => png::ColorType::GrayscaleAlpha,
-        3 => png::ColorType::Rgb,
-        4 => png::ColorType::Rgba,
-        n => return Err(Failure::internal(format!("a PNG cannot have {n} channels"))),
-    };
+fn encode_png(image: &DynamicImage) -> Result<Vec<u8>> {
     let mut file = Vec::new();
-    let mut encoder = png::Encoder::new(&mut file, image.width, image.height);
-    encoder.set_color(colour);
-    encoder.set_compression(png::Compression::Fast);
-    match &image.samples {
-        Samples::U8(samples) => {
-            encoder.set_depth(png::BitDepth::Eight);
-            encoder.write_header().and_then(|mut w| w.write_image_data(samples)).map_err(failed)?;
-        }
-        Samples::U16(samples) => {
-            encoder.set_depth(png::BitDepth::Sixteen);
-            let bytes: Vec<u8> = samples.iter().flat_map(|s| s.to_be_bytes()).collect();
-            encoder.write_header().and_then(|mut w| w.write_image_data(&bytes)).map_err(failed)?;
-        }
-    }
+    let encoder = PngEncoder::new_with_quality(&mut file, CompressionType::Fast, FilterType::Adaptive);
+    image.write_with_encoder(encoder).map_err(|e| Failure::internal(format!("a PNG cannot be written: {e}")))?;
     Ok(file)
 }
 
-fn encode_jpeg(image: &Image, quality: u8) -> Result<Vec<u8>> {
+/// By `jpeg_encoder`: it is vectorised, and subsamples chroma.
+fn encode_jpeg(image: &DynamicImage, quality: u8) -> Result<Vec<u8>> {
     let failed = |e: &dyn std::fmt::Display| Failure::internal(format!("a JPEG cannot be written: {e}"));
-    let colour = match image.channels {
+    let colour = match image.color().channel_count() {
         1 => jpeg_encoder::ColorType::Luma,
         3 => jpeg_encoder::ColorType::Rgb,
         _ => return Err(failed(&"it has no alpha")),
     };
     let side = |n: u32| u16::try_from(n).map_err(|e| failed(&e));
-    let (width, height) = (side(image.width)?, side(image.height)?);
+    let (width, height) = (side(image.width())?, side(image.height())?);
     let mut file = Vec::new();
     let mut encoder = jpeg_encoder::Encoder::new(&mut file, quality);
     encoder.set_sampling_factor(if quality >= FULL_CHROMA { SamplingFactor::R_4_4_4 } else { SamplingFactor::R_4_2_0 });
-    match &image.samples {
-        Samples::U8(samples) => encoder.encode(samples, width, height, colour).map_err(|e| failed(&e))?,
-        Samples::U16(samples) => {
-            let bytes: Vec<u8> = samples.iter().map(|s| ((u32::from(*s) * 255 + 32_767) / 65_535) as u8).collect();
-            encoder.encode(&bytes, width, height, colour).map_err(|e| failed(&e))?;
+    let narrowed: Vec<u8>;
+    let samples = match u16::of(image) {
+        Some(samples) => {
+            narrowed = samples.iter().map(|s| ((u32::from(*s) * 255 + 32_767) / 65_535) as u8).collect();
+            &narrowed
         }
-    }
+        None => image.as_bytes(),
+    };
+    encoder.encode(samples, width, height, colour).map_err(|e| failed(&e))?;
     Ok(file)
 }
 
-fn encode_webp(image: &Image) -> Result<Vec<u8>> {
+fn encode_webp(image: &DynamicImage) -> Result<Vec<u8>> {
     let failed = |e: &dyn std::fmt::Display| Failure::internal(format!("a WebP file cannot be written: {e}"));
-    let colour = match image.channels {
-        1 => image_webp::ColorType::L8,
-        2 => image_webp::ColorType::La8,
-        3 => image_webp::ColorType::Rgb8,
-        4 => image_webp::ColorType::Rgba8,
-        n => return Err(failed(&format!("it cannot have {n} channels"))),
-    };
-    let Samples::U8(samples) = &image.samples else { return Err(failed(&"it has 8 bits")) };
-    if image.width.max(image.height) > WEBP_SIDE {
+    if depth(image) != 8 {
+        return Err(failed(&"it has 8 bits"));
+    }
+    if image.width().max(image.height()) > WEBP_SIDE {
         return Err(failed(&format!("its sides end at {WEBP_SIDE}")));
     }
     let mut file = Vec::new();
-    let encoder = image_webp::WebPEncoder::new(&mut file);
-    encoder.encode(samples, image.width, image.height, colour).map_err(|e| failed(&e))?;
+    image.write_with_encoder(WebPEncoder::new_lossless(&mut file)).map_err(|e| failed(&e))?;
     Ok(file)
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::texture::{decode, header};
+    use crate::texture::{decode, from_samples, header};
 
     /// A smooth picture with some grain, different in every channel.
-    pub(crate) fn picture(width: u32, height: u32, channels: u8, deep: bool) -> Image {
+    pub(crate) fn picture(width: u32, height: u32, channels: u8, deep: bool) -> DynamicImage {
         let value = |i: u64| {
             let (c, p) = (i % u64::from(channels), i / u64::from(channels));
             let (x, y) = ((p % u64::from(width)) as f64, (p / u64::from(width)) as f64);
@@ -114,12 +90,11 @@ pub(crate) mod tests {
             0.5 + 0.4 * ((x / 9.0 + c as f64).sin() * (y / 7.0 - c as f64).cos()) + grain
         };
         let n = u64::from(width) * u64::from(height) * u64::from(channels);
-        let samples = if deep {
-            Samples::U16((0..n).map(|i| (value(i) * 65_535.0) as u16).collect())
+        if deep {
+            from_samples([width, height], channels, (0..n).map(|i| (value(i) * 65_535.0) as u16).collect()).unwrap()
         } else {
-            Samples::U8((0..n).map(|i| (value(i) * 255.0) as u8).collect())
-        };
-        Image { width, height, channels, samples }
+            from_samples([width, height], channels, (0..n).map(|i| (value(i) * 255.0) as u8).collect()).unwrap()
+        }
     }
 
     #[test]
@@ -141,14 +116,12 @@ pub(crate) mod tests {
             let image = picture(45, 31, channels, false);
             let file = encode(&image, Format::Jpeg, 95).unwrap();
             assert_eq!(header(&file).unwrap().channels, channels);
-            let (Samples::U8(a), Samples::U8(b)) = (decode(&file, 1 << 20).unwrap().samples, image.samples) else {
-                panic!("8 bits expected")
-            };
+            let (a, b) = (decode(&file, 1 << 20).unwrap().into_bytes(), image.as_bytes());
             assert_eq!(a.len(), b.len());
-            let squares: f64 = a.iter().zip(&b).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum();
+            let squares: f64 = a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum();
             assert!(squares / (a.len() as f64) < 9.0, "{}", squares / a.len() as f64);
         }
         assert!(encode(&picture(8, 8, 4, false), Format::Jpeg, 95).is_err());
-        assert!(encode(&Image { width: 9, ..picture(8, 8, 3, false) }, Format::Png, 95).is_err());
+        assert!(encode(&DynamicImage::new_rgb8(0, 4), Format::Png, 95).is_err());
     }
 }

@@ -3,11 +3,12 @@
 //! The points and both colours are computed from the Atlases and the images alone, not from how the bake was done.
 
 use glam::{DMat2, DVec2, DVec3};
+use image::DynamicImage;
 use rayon::prelude::*;
 
-use super::codec::Depth;
-use super::map::{Map, Maps, source_scale};
-use super::{Bake, Baked, Direction, Image, Samples, Source, Wrap};
+use super::pixels::Depth;
+use super::texel_map::{TexelMap, TexelMaps, source_scale};
+use super::{Bake, Baked, Direction, Source, Wrap, texel};
 use crate::atlas::{Charts, Topology};
 use crate::context::Context;
 use crate::error::{Failure, Result};
@@ -50,7 +51,7 @@ pub fn fidelity(job: &Bake<'_>, baked: &Baked, samples: u32, context: &Context) 
     if baked.pages.len() != job.after.sheets.len() {
         return Err(Failure::internal("a baked slot does not have the pages of its atlas"));
     }
-    let maps = Maps::new(job, &Charts::new(&Topology::new(job.after)))?;
+    let maps = TexelMaps::new(job, &Charts::new(&Topology::new(job.after)))?;
     let comparison = Comparison {
         job,
         pages: &baked.pages,
@@ -84,7 +85,7 @@ struct Point {
 }
 
 /// Points in the order of faces, one in each stratum of equal area.
-fn scatter(job: &Bake<'_>, maps: &Maps, samples: u32, seed: u64) -> Vec<Point> {
+fn scatter(job: &Bake<'_>, maps: &TexelMaps, samples: u32, seed: u64) -> Vec<Point> {
     let faces: Vec<(u32, f64)> = job
         .after
         .faces()
@@ -142,21 +143,12 @@ trait Texels {
     }
 }
 
-impl Texels for Image {
+impl Texels for DynamicImage {
     fn size(&self) -> [i64; 2] {
-        [i64::from(self.width), i64::from(self.height)]
+        [i64::from(self.width()), i64::from(self.height())]
     }
     fn texel(&self, x: i64, y: i64) -> [f64; 4] {
-        let channels = usize::from(self.channels);
-        let start = (y as usize * self.width as usize + x as usize) * channels;
-        let mut out = [0.0; 4];
-        for (c, o) in out.iter_mut().enumerate().take(channels) {
-            *o = match &self.samples {
-                Samples::U8(s) => f64::from(s[start + c]) / 255.0,
-                Samples::U16(s) => f64::from(s[start + c]) / 65_535.0,
-            };
-        }
-        out
+        texel(self, x as u32, y as u32)
     }
 }
 
@@ -167,21 +159,20 @@ struct Mip {
 }
 
 impl Mip {
-    fn new(image: &Image) -> Self {
-        match &image.samples {
-            Samples::U8(s) => Mip::of(s, image),
-            Samples::U16(s) => Mip::of(s, image),
-        }
-    }
-
-    fn of<T: Depth>(samples: &[T], image: &Image) -> Self {
-        let full = [image.width as usize, image.height as usize];
+    fn new(image: &DynamicImage) -> Self {
+        let full = [image.width() as usize, image.height() as usize];
         let size = full.map(|n| (n / 4).max(1));
-        let texels = match image.channels {
-            1 => means::<T, 1>(samples, full, size),
-            2 => means::<T, 2>(samples, full, size),
-            3 => means::<T, 3>(samples, full, size),
-            _ => means::<T, 4>(samples, full, size),
+        let texels = match image {
+            DynamicImage::ImageLuma8(b) => means::<_, 1>(b.as_raw(), full, size),
+            DynamicImage::ImageLumaA8(b) => means::<_, 2>(b.as_raw(), full, size),
+            DynamicImage::ImageRgb8(b) => means::<_, 3>(b.as_raw(), full, size),
+            DynamicImage::ImageRgba8(b) => means::<_, 4>(b.as_raw(), full, size),
+            DynamicImage::ImageLuma16(b) => means::<_, 1>(b.as_raw(), full, size),
+            DynamicImage::ImageLumaA16(b) => means::<_, 2>(b.as_raw(), full, size),
+            DynamicImage::ImageRgb16(b) => means::<_, 3>(b.as_raw(), full, size),
+            DynamicImage::ImageRgba16(b) => means::<_, 4>(b.as_raw(), full, size),
+            // Nothing decodes to floats.
+            _ => vec![[0.0; 4]; size[0] * size[1]],
         };
         Mip { size: size.map(|n| n as i64), texels }
     }
@@ -229,14 +220,14 @@ impl Texels for Mip {
 
 struct Comparison<'a> {
     job: &'a Bake<'a>,
-    pages: &'a [Image],
+    pages: &'a [DynamicImage],
     direction: Option<Direction>,
     /// By source.
     source_mips: Vec<Mip>,
     /// By source: its texels by reference texel.
     scales: Vec<DVec2>,
     page_mips: Vec<Mip>,
-    maps: &'a Maps,
+    maps: &'a TexelMaps,
 }
 
 #[derive(Default)]
@@ -261,7 +252,7 @@ impl Comparison<'_> {
         let origin = &job.after.provenance[f];
         let b = origin.barycentric[0] * w.x + origin.barycentric[1] * w.y + origin.barycentric[2] * w.z;
         let [p0, p1, p2] = job.before.uv_triangle(origin.source);
-        let size = DVec2::new(f64::from(read.image.width), f64::from(read.image.height));
+        let size = DVec2::new(f64::from(read.image.width()), f64::from(read.image.height()));
         let old_uv = (p0 * b.x + p1 * b.y + p2 * b.z - read.place) * self.scales[source] / size;
         let page = usize::from(job.after.page[f]);
         let sheet = job.after.sheets[page].map(|n| f64::from(n.max(1)));
@@ -299,7 +290,7 @@ impl Comparison<'_> {
     }
 
     /// An encoded value of the uploaded image as it stands on the new sheet: directions turn.
-    fn turned(&self, value: [f64; 4], map: &Map) -> [f64; 4] {
+    fn turned(&self, value: [f64; 4], map: &TexelMap) -> [f64; 4] {
         if self.direction.is_none() {
             return value;
         }
@@ -310,25 +301,25 @@ impl Comparison<'_> {
     }
 
     /// Whether the texels that bilinear filtering reads at a point of a page are the uploaded ones.
-    fn is_exact(&self, map: &Map, from: &Source<'_>, page: usize, point: DVec2) -> bool {
+    fn is_exact(&self, map: &TexelMap, from: &Source<'_>, page: usize, point: DVec2) -> bool {
         let (source, image) = (from.image, &self.pages[page]);
         let base = (point - 0.5).floor();
         let t = point - 0.5 - base;
         let read = |t: f64| [(0, 1.0 - t), (1, t)].into_iter().filter(|(_, w)| *w > WEIGHT).map(|(d, _)| d);
-        let at = |image: &Image, p: DVec2, wrap: [Wrap; 2]| {
+        let at = |image: &DynamicImage, p: DVec2, wrap: [Wrap; 2]| {
             let [w, h] = image.size();
             image.texel(wrap[0].texel(p.x.floor() as i64, w), wrap[1].texel(p.y.floor() as i64, h))
         };
         let texels = read(t.y).flat_map(|dy| read(t.x).map(move |dx| base + DVec2::new(dx as f64, dy as f64) + 0.5));
         match map {
-            Map::Exact { .. } => texels.into_iter().all(|texel| {
+            TexelMap::Exact { .. } => texels.into_iter().all(|texel| {
                 let old = self.turned(at(source, map.apply(texel), from.wrap), map);
                 let new = at(image, texel, [Wrap::ClampToEdge; 2]);
                 // Turning a number and turning its code differ by rounding of the double only.
                 old.iter().zip(new).all(|(a, b)| (a - b).abs() < 1e-9)
             }),
             // Resampled texels are equal only where nothing changes.
-            Map::Affine { .. } => {
+            TexelMap::Affine { .. } => {
                 let base = (map.apply(point) - 0.5).floor() + 0.5;
                 let old = at(source, base, from.wrap);
                 let same = |v: [f64; 4]| self.turned(v, map).iter().zip(self.turned(old, map)).all(|(a, b)| *a == b);

@@ -3,29 +3,31 @@
 //! All images are kept at their native depth and channel count; one slot at a time is in memory.
 
 mod bake;
-mod band;
-mod codec;
-mod cover;
+mod baker;
+mod bilinear_fit;
+mod coverage;
 mod decode;
 mod direction;
 mod encode;
 mod fidelity;
-mod fill;
-mod map;
 mod options;
-mod refit;
-mod sample;
+mod pixels;
+mod push_pull;
+mod sampler;
 mod slot;
-mod widen;
+mod texel_map;
+mod transfer;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
-pub(crate) use codec::linear_to_srgb;
 pub use decode::{decode, header, is_lossy, probe};
 pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};
 pub use options::{Overflow, Size, Texture, TextureFormat};
+pub(crate) use pixels::from_samples;
+pub use pixels::{depth, neutral, texel, widened};
 pub use slot::{Reading, Slot};
+pub(crate) use transfer::linear_to_srgb;
 
 use serde::{Deserialize, Serialize};
 
@@ -218,28 +220,6 @@ impl Format {
     }
 }
 
-/// Samples at their native depth, row by row from the top, channels interleaved.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Samples {
-    /// 8 bits a channel.
-    U8(Vec<u8>),
-    /// 16 bits a channel.
-    U16(Vec<u16>),
-}
-
-/// A decoded image.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Image {
-    /// Width in texels, at least 1.
-    pub width: u32,
-    /// Height in texels, at least 1.
-    pub height: u32,
-    /// 1 grey, 2 grey and alpha, 3 RGB, 4 RGBA.
-    pub channels: u8,
-    /// `width * height * channels` samples.
-    pub samples: Samples,
-}
-
 /// What a header says, before anything is decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Header {
@@ -255,7 +235,5 @@ pub struct Header {
     pub format: Format,
 }
 
-#[cfg(test)]
-mod real;
 #[cfg(test)]
 mod tests;

@@ -2,8 +2,10 @@
 
 mod density;
 mod directions;
+mod scans;
 
 use glam::{DMat2, DVec2, DVec3};
+use image::DynamicImage;
 
 use super::direction::Turn;
 use super::encode::tests::picture;
@@ -67,17 +69,17 @@ impl Charts {
         self.after.provenance = self.before.provenance.clone();
     }
 
-    fn bake<'a>(&'a self, slot: &'a Slot, source: &'a Image) -> Bake<'a> {
+    fn bake<'a>(&'a self, slot: &'a Slot, source: &'a DynamicImage) -> Bake<'a> {
         Bake::single(&self.before, &self.after, self.reference, slot, source, 8)
     }
 }
 
-pub(super) fn slot(role: Role, image: &Image) -> Slot {
+pub(super) fn slot(role: Role, image: &DynamicImage) -> Slot {
     let header = Header {
-        width: image.width,
-        height: image.height,
-        channels: image.channels,
-        depth: if matches!(image.samples, Samples::U8(_)) { 8 } else { 16 },
+        width: image.width(),
+        height: image.height(),
+        channels: image.color().channel_count(),
+        depth: depth(image),
         format: Format::Png,
     };
     Slot {
@@ -93,20 +95,18 @@ pub(super) fn slot(role: Role, image: &Image) -> Slot {
     }
 }
 
-fn texel(image: &Image, x: i64, y: i64) -> Vec<u32> {
-    let c = usize::from(image.channels);
-    let start = (y as usize * image.width as usize + x as usize) * c;
-    match &image.samples {
-        Samples::U8(s) => s[start..start + c].iter().map(|v| u32::from(*v)).collect(),
-        Samples::U16(s) => s[start..start + c].iter().map(|v| u32::from(*v)).collect(),
-    }
+/// The samples of a texel of an image of 8 bits.
+fn texel(image: &DynamicImage, x: i64, y: i64) -> Vec<u32> {
+    let c = usize::from(image.color().channel_count());
+    let start = (y as usize * image.width() as usize + x as usize) * c;
+    image.as_flat_samples_u8().unwrap().samples[start..start + c].iter().map(|v| u32::from(*v)).collect()
 }
 
 /// Noise: no two texels are alike, so that one in a wrong place is seen.
-fn noise(width: u32, height: u32, channels: u8, seed: u64) -> Image {
+fn noise(width: u32, height: u32, channels: u8, seed: u64) -> DynamicImage {
     let mut random = Random(seed);
     let n = width * height * u32::from(channels);
-    Image { width, height, channels, samples: Samples::U8((0..n).map(|_| random.below(256) as u8).collect()) }
+    from_samples([width, height], channels, (0..n).map(|_| random.below(256) as u8).collect()).unwrap()
 }
 
 /// A star-shaped fan about `centre`.
@@ -256,14 +256,13 @@ fn a_turned_chart_is_resampled_closely() {
 
 #[test]
 fn directions_keep_their_angle_under_any_turn() {
-    let mut image = picture(256, 256, 3, false);
-    if let Samples::U8(s) = &mut image.samples {
-        for n in s.chunks_exact_mut(3) {
-            let (x, y) = (f64::from(n[0]) / 255.0 - 0.5, f64::from(n[1]) / 255.0 - 0.5);
-            let z = (1.0 - x * x - y * y).sqrt();
-            n.copy_from_slice(&[x, y, z].map(|v| ((v * 0.5 + 0.5) * 255.0).round() as u8));
-        }
+    let mut image = picture(256, 256, 3, false).into_rgb8();
+    for n in image.pixels_mut() {
+        let (x, y) = (f64::from(n[0]) / 255.0 - 0.5, f64::from(n[1]) / 255.0 - 0.5);
+        let z = (1.0 - x * x - y * y).sqrt();
+        *n = image::Rgb([x, y, z].map(|v| ((v * 0.5 + 0.5) * 255.0).round() as u8));
     }
+    let image = image.into();
     let slot = slot(Role::Normal, &image);
     for (angle, exact) in [(0.0, true), (std::f64::consts::FRAC_PI_2, true), (std::f64::consts::PI, true), (1.0, false)]
     {
@@ -301,8 +300,8 @@ fn the_bytes_do_not_depend_on_the_number_of_threads() {
 #[test]
 fn a_mask_made_smaller_keeps_its_coverage() {
     // Blades of one texel in four: filtering alone would bring all of them under the cutoff.
-    let samples = (0..256 * 256).flat_map(|i| [40, 160, 60, if i % 4 == 0 { 255 } else { 0 }]).collect();
-    let image = Image { width: 256, height: 256, channels: 4, samples: Samples::U8(samples) };
+    let samples = (0..256 * 256).flat_map(|i| [40u8, 160, 60, if i % 4 == 0 { 255 } else { 0 }]).collect();
+    let image = from_samples([256, 256], 4, samples).unwrap();
     let mut slot = slot(Role::BaseColor, &image);
     slot.alpha = Alpha::Mask(0.5);
     let charts = turned_quad(0.3, 0.5);
@@ -326,7 +325,7 @@ fn a_smaller_slot_moves_with_the_reference_and_other_primitives_are_left_out() {
     charts.fan(1, &quad, |p| p + DVec2::new(80.0, 0.0));
     let baked = bake(&charts.bake(&slot, &image), &Context::silent()).unwrap();
     let out = &baked.pages[0];
-    assert_eq!((out.width, out.height), (64, 16));
+    assert_eq!((out.width(), out.height()), (64, 16));
     assert_eq!(baked.verbatim_face, [true, true, false, false]);
     assert_eq!(baked.verbatim_texels, 64);
     for y in 4..12 {
@@ -357,8 +356,12 @@ fn what_makes_no_sense_is_left_out_or_refused() {
     let mut foreign = charts.after.clone();
     foreign.provenance[0].source = FaceId(999);
     assert!(bake(&Bake { after: &foreign, ..job.clone() }, &Context::silent()).is_err());
-    let short = Image { height: 17, ..image.clone() };
-    assert!(bake(&charts.bake(&slot, &short), &Context::silent()).is_err());
+    let empty = DynamicImage::new_rgba8(0, 16);
+    assert!(bake(&charts.bake(&slot, &empty), &Context::silent()).is_err());
+    let mut mixed = job.clone();
+    let grey = noise(16, 16, 1, 1);
+    mixed.sources.push(Source { image: &grey, ..mixed.sources[0] });
+    assert!(bake(&mixed, &Context::silent()).is_err());
     let cancel = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
     let canceled = Context::new(std::sync::Arc::new(crate::context::Silent), cancel, 0);
     assert_eq!(bake(&job, &canceled).unwrap_err().code, crate::error::Code::Canceled);

@@ -66,7 +66,7 @@ fn several_models_share_one_atlas() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);
     let other = intarsia::asset::sample::sample("two_materials").unwrap();
-    let white = intarsia::texture::Image::neutral(intarsia::texture::Role::BaseColor, 1, 8);
+    let white = intarsia::texture::neutral(intarsia::texture::Role::BaseColor, 1, 8).unwrap();
     let picture = intarsia::texture::encode(&white, intarsia::texture::Format::Png, 90).unwrap();
     let options = json!({"importance": {"texture": "maps/weight.png"}, "fabrication": {"seams": "flaps"}});
     let form = Form::sample().file("model", "other.glb", &other).file("files", "maps/weight.png", &picture);

@@ -1,5 +1,6 @@
 //! `--recipe box_cutter` on real models: valid, whole, free of overlaps, and without a trace of the cuts in the picture.
 
+use image::DynamicImage;
 use intarsia::asset::{File, Limits, load, read};
 use intarsia::atlas::OverlapMode;
 use intarsia::atlas::{Atlas, HalfEdge, Topology};
@@ -8,7 +9,7 @@ use intarsia::packing::Rotation;
 use intarsia::refine::options::{IfLarger, Options, Recipe};
 use intarsia::refine::{Input, Outcome, refine};
 use intarsia::texture::TextureFormat;
-use intarsia::texture::{Image, Samples, decode};
+use intarsia::texture::{decode, texel};
 
 use super::{data, geometry, node};
 
@@ -153,20 +154,16 @@ fn seams(atlas: &Atlas) -> Vec<([glam::DVec3; 2], [[glam::DVec2; 2]; 2])> {
 }
 
 /// Bilinear, 0..=255.
-fn colour(image: &Image, p: glam::DVec2) -> [f64; 3] {
+fn colour(image: &DynamicImage, p: glam::DVec2) -> [f64; 3] {
     let at = p - glam::DVec2::splat(0.5);
     let (low, part) = (at.floor(), at - at.floor());
-    let texel = |x: f64, y: f64, c: usize| {
-        let x = (x.max(0.0) as u32).min(image.width - 1) as usize;
-        let y = (y.max(0.0) as u32).min(image.height - 1) as usize;
-        let index = (y * image.width as usize + x) * usize::from(image.channels) + c;
-        match &image.samples {
-            Samples::U8(samples) => f64::from(samples[index]),
-            Samples::U16(samples) => f64::from(samples[index]) / 257.0,
-        }
+    let value = |x: f64, y: f64, c: usize| {
+        let x = (x.max(0.0) as u32).min(image.width() - 1);
+        let y = (y.max(0.0) as u32).min(image.height() - 1);
+        texel(image, x, y)[c] * 255.0
     };
     [0, 1, 2].map(|c| {
-        let row = |y: f64| texel(low.x, y, c) * (1.0 - part.x) + texel(low.x + 1.0, y, c) * part.x;
+        let row = |y: f64| value(low.x, y, c) * (1.0 - part.x) + value(low.x + 1.0, y, c) * part.x;
         row(low.y) * (1.0 - part.y) + row(low.y + 1.0) * part.y
     })
 }

@@ -2,8 +2,9 @@
 
 use std::io::{Cursor, Write};
 
+use image::RgbImage;
 use intarsia::asset::{ARRAY_BUFFER, Document, ELEMENT_ARRAY_BUFFER, File, RawAccessor};
-use intarsia::texture::{Format, Image, Samples, encode};
+use intarsia::texture::{Format, encode};
 use serde_json::{Value, json};
 
 pub fn file(path: &str, bytes: impl AsRef<[u8]>) -> File {
@@ -13,8 +14,8 @@ pub fn file(path: &str, bytes: impl AsRef<[u8]>) -> File {
 /// A picture of `side` x `side` texels.
 pub fn picture(side: u32, format: Format) -> Vec<u8> {
     let samples = (0..side * side * 3).map(|i| (i * 37 % 251) as u8).collect();
-    let image = Image { width: side, height: side, channels: 3, samples: Samples::U8(samples) };
-    encode(&image, format, 90).expect("an image")
+    let image = RgbImage::from_raw(side, side, samples).expect("as many samples");
+    encode(&image.into(), format, 90).expect("an image")
 }
 
 /// Two charts with base colour (PNG), normal (JPEG), a sparse morph target, a skin, an animation, a strip of the same

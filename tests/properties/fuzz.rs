@@ -150,7 +150,7 @@ fn run(case: &Case, whole: bool) -> Result<bool, String> {
             let told = header(bytes);
             decode(bytes, LIMITS.max_image_pixels).map(|image| {
                 let told = told.expect("what is decoded has a header");
-                assert_eq!((told.width, told.height), (image.width, image.height));
+                assert_eq!((told.width, told.height), (image.width(), image.height()));
             })
         }
         Case::Options(value) => parse::options(value).map(|_| ()).map_err(|problems| parse::failure(&problems)),

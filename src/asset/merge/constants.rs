@@ -8,7 +8,7 @@ use super::MergedMaterial;
 use crate::asset::json::{array, array_mut, object};
 use crate::asset::scan::{Material, Scan, scan};
 use crate::asset::{ARRAY_BUFFER, Document, Layout, RawAccessor, accessor_count};
-use crate::texture::{Format, Image, Role, Samples, encode, linear_to_srgb};
+use crate::texture::{Format, Role, encode, from_samples, linear_to_srgb};
 
 /// Side of the texture that stands for factors, in texels.
 const SIDE: u32 = 4;
@@ -218,8 +218,8 @@ fn texture(
     constant: &Constant,
     made: &mut BTreeSet<usize>,
 ) -> crate::error::Result<usize> {
-    let samples = Samples::U8(constant.texel.repeat((SIDE * SIDE) as usize));
-    let image = Image { width: SIDE, height: SIDE, channels: constant.texel.len() as u8, samples };
+    let samples = constant.texel.repeat((SIDE * SIDE) as usize);
+    let image = from_samples([SIDE, SIDE], constant.texel.len() as u8, samples)?;
     let bytes = encode(&image, Format::Png, 100)?;
     let index = doc.push("images", json!({ "mimeType": "image/png" }));
     doc.images.resize(index, None);

@@ -1,6 +1,8 @@
 //! Textures painted over an unwrapped surface, each texel by the point that it lies on.
 
 use glam::{DVec2, DVec3};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
 
 use super::random::{mix, smooth};
 use super::surface::Unwrapped;
@@ -99,11 +101,9 @@ fn grow(texels: &mut [[u8; 3]], filled: &mut [bool], width: usize) {
 
 fn encode(texels: &[[u8; 3]], width: usize, height: usize) -> Vec<u8> {
     let mut out = Vec::new();
-    let mut encoder = png::Encoder::new(&mut out, width as u32, height as u32);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::Fast);
-    let written = encoder.write_header().and_then(|mut w| w.write_image_data(texels.as_flattened()));
+    let encoder = PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive);
+    let colour = ExtendedColorType::Rgb8;
+    let written = encoder.write_image(texels.as_flattened(), width as u32, height as u32, colour);
     debug_assert!(written.is_ok(), "writing to memory does not fail");
     out
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
+use image::DynamicImage;
 use serde_json::{Value, json};
 
 use crate::asset::ReadOptions;
@@ -11,7 +12,7 @@ use crate::atlas::{Charts, FaceId, Topology, overlapping_charts};
 use crate::context::Context;
 use crate::refine::options::Options;
 use crate::refine::{Input, Outcome, parse, refine};
-use crate::texture::{Format, Image, Role, Samples, decode};
+use crate::texture::{Format, Role, decode, texel};
 
 fn input(names: &[&str]) -> Input {
     let file = |name: &&str| File { path: format!("{name}.glb"), bytes: sample::made(name).to_vec() };
@@ -68,17 +69,17 @@ fn colours(doc: &Document) -> BTreeMap<(usize, usize, usize), Looks> {
     out
 }
 
-fn bilinear(image: &Image, point: DVec2) -> [f64; 3] {
-    let Samples::U8(samples) = &image.samples else { panic!("8 bits are expected") };
+/// In 0..=255.
+fn bilinear(image: &DynamicImage, point: DVec2) -> [f64; 3] {
+    let last = usize::from(image.color().channel_count()) - 1;
     let p = point - 0.5;
     let (base, t) = (p.floor(), p - p.floor());
     let mut out = [0.0; 3];
     for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-        let wrap = |v: f64, d: i64, n: u32| (v as i64 + d).rem_euclid(i64::from(n)) as usize;
-        let (x, y) = (wrap(base.x, dx, image.width), wrap(base.y, dy, image.height));
+        let wrap = |v: f64, d: i64, n: u32| (v as i64 + d).rem_euclid(i64::from(n)) as u32;
+        let value = texel(image, wrap(base.x, dx, image.width()), wrap(base.y, dy, image.height()));
         let weight = (if dx == 1 { t.x } else { 1.0 - t.x }) * (if dy == 1 { t.y } else { 1.0 - t.y });
-        let at = (y * image.width as usize + x) * usize::from(image.channels);
-        (0..3).for_each(|c| out[c] += weight * f64::from(samples[at + c.min(usize::from(image.channels) - 1)]));
+        (0..3).for_each(|c| out[c] += weight * value[c.min(last)] * 255.0);
     }
     out
 }

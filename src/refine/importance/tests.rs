@@ -7,7 +7,7 @@ use super::*;
 use crate::asset::ReadOptions;
 use crate::asset::{ARRAY_BUFFER, RawAccessor, fixture};
 use crate::atlas::FaceId;
-use crate::texture::{Format, encode};
+use crate::texture::{Format, encode, from_samples};
 
 /// A bowtie with an attribute of floats by vertex.
 fn model(attribute: Option<[f32; 5]>) -> (Document, Vec<TextureSet>) {
@@ -55,8 +55,8 @@ fn attributes_are_spread_unless_they_are_weights_already() {
 #[test]
 fn pictures_are_read_at_the_uploaded_texture_coordinates() {
     // Left half black, right half white: u is x.
-    let texels = (0..16 * 16).map(|i| if i % 16 < 8 { 0 } else { 255 }).collect();
-    let image = Image { width: 16, height: 16, channels: 1, samples: Samples::U8(texels) };
+    let texels = (0..16 * 16).map(|i| if i % 16 < 8 { 0u8 } else { 255 }).collect();
+    let image = from_samples([16, 16], 1, texels).unwrap();
     let file = File { path: "maps/Weight.png".to_owned(), bytes: encode(&image, Format::Png, 90).unwrap() };
     let found = weights(json!({"texture": "weight.png"}), None, &[file]).unwrap();
     assert_eq!(found.corners, [[50.5, 1.0, 1.0], [50.5, 100.0, 100.0]]);

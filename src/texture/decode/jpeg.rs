@@ -1,54 +1,18 @@
-//! JPEG: baseline and progressive, grey, YCbCr, RGB, and inverted CMYK and YCCK as Adobe writes them.
+//! JPEG: what must be known of a file's segments before it is decoded.
 
-use zune_core::bytestream::ZCursor;
-use zune_core::colorspace::ColorSpace;
-use zune_core::options::DecoderOptions;
-use zune_jpeg::JpegDecoder;
-
-use super::{LONGEST_SIDE, check_sides, invalid, sample_count};
+use super::invalid;
 use crate::error::Result;
-use crate::texture::{Format, Header, Image, Samples};
 
 /// Scans that a file may have: each of them visits the whole picture, however few bytes it holds.
 const SCANS: usize = 500;
 
-pub(super) fn header(bytes: &[u8]) -> Result<Header> {
-    Ok(decoder(bytes, None)?.1)
-}
-
-type Decoder<'a> = JpegDecoder<ZCursor<&'a [u8]>>;
-
-/// A decoder whose headers are read. `out` is the colour space to decode to; the grey or RGB that the file holds when not given.
-fn decoder(bytes: &[u8], out: Option<ColorSpace>) -> Result<(Decoder<'_>, Header)> {
-    let side = LONGEST_SIDE as usize;
-    let mut options = DecoderOptions::default().set_max_width(side).set_max_height(side).set_strict_mode(false);
-    if let Some(space) = out {
-        options = options.jpeg_set_out_colorspace(space);
-    }
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    decoder.decode_headers().map_err(|e| invalid(format!("{e:?}")))?;
-    let (width, height) = decoder.dimensions().ok_or_else(|| invalid("it has no frame"))?;
-    let (width, height) = (width as u32, height as u32);
-    check_sides(width, height)?;
-    let channels = if decoder.input_colorspace() == Some(ColorSpace::Luma) { 1 } else { 3 };
-    Ok((decoder, Header { width, height, channels, depth: 8, format: Format::Jpeg }))
-}
-
-pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<Image> {
-    let header = header(bytes)?;
-    let samples = sample_count(&header, max_pixels)?;
+/// Refuses a file that ends before its picture does, or has too many scans.
+pub(super) fn check_scans(bytes: &[u8]) -> Result<()> {
     match scans(bytes) {
-        None => return Err(invalid("the file ends before the picture does")),
-        Some(scans) if scans > SCANS => return Err(invalid(format!("it has more than {SCANS} scans"))),
-        Some(_) => {}
+        None => Err(invalid("the file ends before the picture does")),
+        Some(scans) if scans > SCANS => Err(invalid(format!("it has more than {SCANS} scans"))),
+        Some(_) => Ok(()),
     }
-    let space = if header.channels == 1 { ColorSpace::Luma } else { ColorSpace::RGB };
-    let (mut decoder, _) = decoder(bytes, Some(space))?;
-    let buffer = decoder.decode().map_err(|e| invalid(format!("{e:?}")))?;
-    if buffer.len() != samples {
-        return Err(invalid("its data does not fill the image"));
-    }
-    Ok(Image { width: header.width, height: header.height, channels: header.channels, samples: Samples::U8(buffer) })
 }
 
 /// The number of scans of a file whose segments follow each other up to the end-of-image marker (ITU T.81, annex B); none where

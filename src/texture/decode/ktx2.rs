@@ -4,10 +4,12 @@
 use std::io::Read as _;
 
 use basisu::{DecodeFlags, TargetFormat, Transcoder};
+use image::DynamicImage;
 
-use super::{check_sides, invalid, sample_count};
+use super::{check_sides, check_size, invalid};
 use crate::error::{Failure, Result};
-use crate::texture::{Format, Header, Image, Samples};
+use crate::texture::pixels::{Depth, from_samples};
+use crate::texture::{Format, Header};
 
 /// First bytes of every KTX2 file.
 pub(super) const IDENTIFIER: [u8; 12] = [0xab, b'K', b'T', b'X', b' ', b'2', b'0', 0xbb, 0x0d, 0x0a, 0x1a, 0x0a];
@@ -56,26 +58,34 @@ pub(super) fn is_lossy(bytes: &[u8]) -> bool {
     container(bytes).is_ok_and(|c| c.texels == Texels::Basis)
 }
 
-pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<Image> {
+pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<DynamicImage> {
     let file = container(bytes)?;
-    let expected = sample_count(&file.header, max_pixels)?;
-    let Header { width, height, channels, .. } = file.header;
-    let samples = match file.texels {
-        Texels::Basis => Samples::U8(basis(bytes, &file.header)?),
+    check_size(&file.header, max_pixels)?;
+    match file.texels {
+        Texels::Basis => image(&file.header, basis(bytes, &file.header)?),
         Texels::Plain { channels: stored, bytes: wide, blue_first } => {
+            let Header { width, height, channels, .. } = file.header;
             let texel = usize::from(stored) * usize::from(wide);
             let data = file.plain(width as usize * height as usize * texel)?;
-            spread(&data, texel, usize::from(channels), wide == 2, blue_first)
+            let place = |c: usize| if blue_first && c < 3 { 2 - c } else { c };
+            // Channels that are not stored are 0.
+            let order = (0..usize::from(channels)).map(place);
+            let texels = data.chunks_exact(texel);
+            if wide == 2 {
+                let sample =
+                    |t: &[u8], c: usize| t.get(2 * c..2 * c + 2).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
+                image(&file.header, texels.flat_map(|t| order.clone().map(move |c| sample(t, c))).collect())
+            } else {
+                let sample = |t: &[u8], c: usize| t.get(c).copied().unwrap_or(0);
+                image(&file.header, texels.flat_map(|t| order.clone().map(move |c| sample(t, c))).collect())
+            }
         }
-    };
-    let found = match &samples {
-        Samples::U8(s) => s.len(),
-        Samples::U16(s) => s.len(),
-    };
-    if found != expected {
-        return Err(invalid("its data does not fill the image"));
     }
-    Ok(Image { width, height, channels, samples })
+}
+
+fn image<T: Depth>(header: &Header, samples: Vec<T>) -> Result<DynamicImage> {
+    from_samples([header.width, header.height], header.channels, samples)
+        .map_err(|_| invalid("its data does not fill the image"))
 }
 
 /// RGB or RGBA of the first level.
@@ -94,19 +104,6 @@ fn basis(bytes: &[u8], header: &Header) -> Result<Vec<u8>> {
         texels.truncate(3 * count);
     }
     Ok(texels)
-}
-
-/// Texels of `texel` bytes as RGB or RGBA; channels that are not stored are 0.
-fn spread(data: &[u8], texel: usize, channels: usize, deep: bool, blue_first: bool) -> Samples {
-    let place = move |c: usize| if blue_first && c < 3 { 2 - c } else { c };
-    let texels = data.chunks_exact(texel);
-    if deep {
-        let sample = |t: &[u8], c: usize| t.get(2 * c..2 * c + 2).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
-        Samples::U16(texels.flat_map(|t| (0..channels).map(move |c| sample(t, place(c)))).collect())
-    } else {
-        let sample = |t: &[u8], c: usize| t.get(c).copied().unwrap_or(0);
-        Samples::U8(texels.flat_map(|t| (0..channels).map(move |c| sample(t, place(c)))).collect())
-    }
 }
 
 impl Container<'_> {

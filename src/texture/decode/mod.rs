@@ -4,7 +4,6 @@
 mod fixture;
 mod jpeg;
 mod ktx2;
-mod png;
 mod probe;
 #[cfg(test)]
 mod tests;
@@ -12,13 +11,20 @@ mod webp;
 
 pub use probe::probe;
 
+use std::io::Cursor;
 use std::panic::{UnwindSafe, catch_unwind};
 
-use super::{Format, Header, Image};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+
+use super::{Format, Header};
 use crate::error::{Code, Failure, Result};
 
 /// Longest side that a header may declare, in texels.
 const LONGEST_SIDE: u32 = 65_535;
+/// Memory that a PNG decoder may take beside the image itself (rows, palette, profiles, text), in bytes.
+const OVERHEAD: u64 = 64 << 20;
+/// First bytes of every PNG file.
+const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 /// Reads what an image file says of itself; nothing is decoded.
 ///
@@ -26,8 +32,8 @@ const LONGEST_SIDE: u32 = 65_535;
 pub fn header(bytes: &[u8]) -> Result<Header> {
     let format = format(bytes)?;
     guarded(|| match format {
-        Format::Png => png::header(bytes),
-        Format::Jpeg => jpeg::header(bytes),
+        Format::Png => Ok(decoder(bytes, ImageFormat::Png, format)?.1),
+        Format::Jpeg => Ok(decoder(bytes, ImageFormat::Jpeg, format)?.1),
         Format::Webp => webp::header(bytes),
         Format::Ktx2 => ktx2::header(bytes),
     })
@@ -38,14 +44,46 @@ pub fn header(bytes: &[u8]) -> Result<Header> {
 ///
 /// Fails with `too_large` beyond `max_pixels` (before any allocation), with `invalid_image` when the file is broken
 /// or ends too early.
-pub fn decode(bytes: &[u8], max_pixels: u64) -> Result<Image> {
+pub fn decode(bytes: &[u8], max_pixels: u64) -> Result<DynamicImage> {
     let format = format(bytes)?;
-    guarded(|| match format {
-        Format::Png => png::decode(bytes, max_pixels),
-        Format::Jpeg => jpeg::decode(bytes, max_pixels),
-        Format::Webp => webp::decode(bytes, max_pixels),
-        Format::Ktx2 => ktx2::decode(bytes, max_pixels),
+    guarded(|| {
+        let (decoder, header) = match format {
+            Format::Png => decoder(bytes, ImageFormat::Png, format)?,
+            Format::Jpeg => decoder(bytes, ImageFormat::Jpeg, format)?,
+            Format::Webp => {
+                // Before the decoder allocates what a chunk asks for.
+                let told = webp::header(bytes)?;
+                let (decoder, header) = decoder(bytes, ImageFormat::WebP, format)?;
+                if header != told {
+                    return Err(invalid("its chunks contradict each other"));
+                }
+                (decoder, header)
+            }
+            Format::Ktx2 => return ktx2::decode(bytes, max_pixels),
+        };
+        check_size(&header, max_pixels)?;
+        if format == Format::Jpeg {
+            jpeg::check_scans(bytes)?;
+        }
+        DynamicImage::from_decoder(decoder).map_err(invalid)
     })
+}
+
+/// A decoder whose header is read.
+fn decoder(bytes: &[u8], kind: ImageFormat, format: Format) -> Result<(impl ImageDecoder + '_, Header)> {
+    let mut limits = Limits::no_limits();
+    limits.max_image_width = Some(LONGEST_SIDE);
+    limits.max_image_height = Some(LONGEST_SIDE);
+    limits.max_alloc = Some(OVERHEAD);
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), kind);
+    reader.limits(limits);
+    let decoder = reader.into_decoder().map_err(invalid)?;
+    let (width, height) = decoder.dimensions();
+    check_sides(width, height)?;
+    let colour = decoder.color_type();
+    let channels = colour.channel_count();
+    let depth = 8 * colour.bytes_per_pixel() / channels;
+    Ok((decoder, Header { width, height, channels, depth, format }))
 }
 
 /// Whether the file was compressed with a loss, as far as its header tells: JPEG, lossy WebP, Basis Universal.
@@ -63,7 +101,7 @@ fn invalid(what: impl std::fmt::Display) -> Failure {
 }
 
 fn format(bytes: &[u8]) -> Result<Format> {
-    if bytes.starts_with(&png::SIGNATURE) {
+    if bytes.starts_with(PNG_SIGNATURE) {
         Ok(Format::Png)
     } else if bytes.starts_with(&[0xff, 0xd8]) {
         Ok(Format::Jpeg)
@@ -84,20 +122,14 @@ fn guarded<T>(read: impl FnOnce() -> Result<T> + UnwindSafe) -> Result<T> {
     catch_unwind(read).unwrap_or_else(|_| Err(invalid("its data contradict each other")))
 }
 
-/// Number of samples of an image that may be decoded.
-fn sample_count(header: &Header, max_pixels: u64) -> Result<usize> {
-    let pixels = u64::from(header.width) * u64::from(header.height);
-    if pixels > max_pixels {
+fn check_size(header: &Header, max_pixels: u64) -> Result<()> {
+    if u64::from(header.width) * u64::from(header.height) > max_pixels {
         return Err(Failure::new(
             Code::TooLarge,
             format!("an image of {} x {} texels exceeds the limit of {max_pixels} texels", header.width, header.height),
         ));
     }
-    pixels
-        .checked_mul(u64::from(header.channels))
-        .and_then(|n| usize::try_from(n).ok())
-        .filter(|n| *n <= isize::MAX as usize / 2)
-        .ok_or_else(|| invalid("its size is out of range"))
+    Ok(())
 }
 
 fn check_sides(width: u32, height: u32) -> Result<()> {

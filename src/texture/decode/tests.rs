@@ -3,21 +3,21 @@
 use super::fixture::*;
 use super::*;
 use crate::texture::encode::tests::picture;
-use crate::texture::{Samples, encode};
+use crate::texture::pixels::{Depth, from_samples};
+use crate::texture::{encode, widened};
 
 #[test]
 fn palettes_low_depths_and_transparency_are_expanded() {
-    let mut file = Vec::new();
-    let mut encoder = ::png::Encoder::new(&mut file, 3, 1);
-    encoder.set_color(::png::ColorType::Indexed);
-    encoder.set_depth(::png::BitDepth::Two);
-    encoder.set_palette(vec![1, 2, 3, 40, 50, 60, 7, 8, 9]);
-    encoder.set_trns(vec![255, 128]);
-    encoder.write_header().unwrap().write_image_data(&[0b00_01_10_00]).unwrap();
+    let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
+    chunk(&mut file, b"IHDR", &[0, 0, 0, 3, 0, 0, 0, 1, 2, 3, 0, 0, 0]);
+    chunk(&mut file, b"PLTE", &[1, 2, 3, 40, 50, 60, 7, 8, 9]);
+    chunk(&mut file, b"tRNS", &[255, 128]);
+    chunk(&mut file, b"IDAT", &stored_zlib(&[0, 0b00_01_10_00]));
+    chunk(&mut file, b"IEND", &[]);
     let expected = Header { width: 3, height: 1, channels: 4, depth: 8, format: Format::Png };
     assert_eq!(header(&file).unwrap(), expected);
     let image = decode(&file, 3).unwrap();
-    assert_eq!(image.samples, Samples::U8(vec![1, 2, 3, 255, 40, 50, 60, 128, 7, 8, 9, 255]));
+    assert_eq!(bytes(&image), [1, 2, 3, 255, 40, 50, 60, 128, 7, 8, 9, 255]);
 }
 
 #[test]
@@ -78,7 +78,7 @@ fn every_truncation_and_many_mutations_end_in_a_sentence() {
                 let mut broken = file.clone();
                 broken[at] ^= bit;
                 match decode(&broken, 1 << 14) {
-                    Ok(image) => assert!(image.width * image.height <= 1 << 14, "{kind}"),
+                    Ok(image) => assert!(image.width() * image.height() <= 1 << 14, "{kind}"),
                     Err(failure) => assert!(matches!(failure.code, Code::InvalidImage | Code::TooLarge), "{kind}"),
                 }
             }
@@ -95,9 +95,8 @@ fn crc32(bytes: &[u8]) -> u32 {
 }
 
 /// The samples of an image of 8 bits.
-fn bytes(image: &Image) -> &[u8] {
-    let Samples::U8(samples) = &image.samples else { panic!("8 bits expected") };
-    samples
+fn bytes(image: &DynamicImage) -> &[u8] {
+    u8::of(image).unwrap()
 }
 
 #[test]
@@ -129,20 +128,20 @@ fn png_of_every_kind_is_read() {
     chunk(&mut file, b"IDAT", &stored_zlib(&scan));
     chunk(&mut file, b"IEND", &[]);
     assert_eq!(header(&file).unwrap(), Header { width: 8, height: 1, channels: 2, depth: 16, format: Format::Png });
-    let expected = (0..8).flat_map(|x| [value(x, 0), value(x, 1)]).collect();
-    assert_eq!(decode(&file, 8).unwrap().samples, Samples::U16(expected));
+    let expected: Vec<u16> = (0..8).flat_map(|x| [value(x, 0), value(x, 1)]).collect();
+    assert_eq!(u16::of(&decode(&file, 8).unwrap()).unwrap(), expected);
 
     // Grey of one bit, and grey of 16 bits of which one value is transparent.
-    for (depth, data, transparent, samples) in [
-        (1, vec![0b1010_0000], None, Samples::U8(vec![255, 0, 255])),
-        (16, vec![0, 5, 1, 0, 0, 9], Some(vec![1, 0]), Samples::U16(vec![5, 65_535, 256, 0, 9, 65_535])),
+    for (depth, data, transparent, expected) in [
+        (1, vec![0b1010_0000], None, from_samples([3, 1], 1, vec![255u8, 0, 255])),
+        (16, vec![0, 5, 1, 0, 0, 9], Some(vec![1, 0]), from_samples([3, 1], 2, vec![5u16, 65_535, 256, 0, 9, 65_535])),
     ] {
         let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
         chunk(&mut file, b"IHDR", &[0, 0, 0, 3, 0, 0, 0, 1, depth, 0, 0, 0, 0]);
         transparent.iter().for_each(|t| chunk(&mut file, b"tRNS", t));
         chunk(&mut file, b"IDAT", &stored_zlib(&[&[0][..], &data].concat()));
         chunk(&mut file, b"IEND", &[]);
-        assert_eq!(decode(&file, 3).unwrap().samples, samples);
+        assert_eq!(decode(&file, 3).unwrap(), expected.unwrap());
     }
 }
 
@@ -188,7 +187,7 @@ fn jpeg_of_every_kind_is_read() {
     let decoded = |file: &[u8]| {
         let image = decode(file, 384).unwrap();
         let head = header(file).unwrap();
-        assert_eq!((head.width, head.height, head.channels), (24, 16, image.channels));
+        assert_eq!((head.width, head.height, head.channels), (24, 16, image.color().channel_count()));
         image
     };
     let baseline = jpeg(bytes(&rgb), ColorType::Rgb, |_| {});
@@ -239,18 +238,17 @@ fn webp_round_trips_without_loss() {
         let mut image = picture(37, 21, channels, false);
         if channels == 4 {
             // Colour under full transparency stays.
-            let Samples::U8(samples) = &mut image.samples else { panic!("8 bits expected") };
-            samples.chunks_exact_mut(4).step_by(3).for_each(|texel| texel[3] = 0);
+            let DynamicImage::ImageRgba8(texels) = &mut image else { panic!("RGBA expected") };
+            texels.pixels_mut().step_by(3).for_each(|texel| texel[3] = 0);
         }
         let file = encode(&image, Format::Webp, 0).unwrap();
         let head = Header { width: 37, height: 21, channels: expected, depth: 8, format: Format::Webp };
         assert_eq!(header(&file).unwrap(), head);
         assert!(!is_lossy(&file));
-        assert_eq!(decode(&file, 37 * 21).unwrap(), image.widened(expected, 8));
+        assert_eq!(decode(&file, 37 * 21).unwrap(), widened(image, expected, 8));
     }
     assert!(encode(&picture(8, 8, 3, true), Format::Webp, 0).is_err());
-    let long = Image { width: 16_384, height: 1, channels: 1, samples: Samples::U8(vec![0; 16_384]) };
-    assert!(encode(&long, Format::Webp, 0).is_err());
+    assert!(encode(&DynamicImage::new_luma8(16_384, 1), Format::Webp, 0).is_err());
 }
 
 #[test]
@@ -258,7 +256,7 @@ fn lossy_webp_is_read_with_its_alpha() {
     let plain = grey_webp([12, 9], None);
     assert!(is_lossy(&plain));
     let image = decode(&plain, 108).unwrap();
-    assert_eq!((image.width, image.height, image.channels), (12, 9, 3));
+    assert_eq!((image.width(), image.height(), image.color()), (12, 9, image::ColorType::Rgb8));
     assert!(bytes(&image).windows(2).all(|w| w[0].abs_diff(w[1]) < 8), "{:?}", bytes(&image));
     let alpha: Vec<u8> = (0..108).collect();
     let file = grey_webp([12, 9], Some(&alpha));
@@ -268,7 +266,7 @@ fn lossy_webp_is_read_with_its_alpha() {
     let with = decode(&file, 108).unwrap();
     assert!(bytes(&with).iter().skip(3).step_by(4).eq(&alpha));
     let colours =
-        |image: &Image, n: usize| bytes(image).chunks_exact(n).flat_map(|t| t[..3].to_vec()).collect::<Vec<_>>();
+        |image: &DynamicImage, n: usize| bytes(image).chunks_exact(n).flat_map(|t| t[..3].to_vec()).collect::<Vec<_>>();
     assert_eq!(colours(&with, 4), colours(&image, 3));
 }
 
@@ -317,7 +315,7 @@ fn uastc_is_read_plain_and_compressed() {
         assert!(is_lossy(&file));
         assert_eq!(bytes(&decode(&file, 64).unwrap()), texels);
         let opaque = decode(&uastc(scheme, 0, &level), 64).unwrap();
-        assert_eq!(opaque.channels, 3);
+        assert_eq!(opaque.color(), image::ColorType::Rgb8);
         assert_eq!(bytes(&opaque), texels.chunks_exact(4).flat_map(|t| t[..3].to_vec()).collect::<Vec<_>>());
     }
     // A level that is too short, or says so of itself.
@@ -379,12 +377,12 @@ fn uncompressed_ktx2_is_read_in_the_order_of_its_channels() {
         ktx2(&Ktx2 { vulkan, size: [2, 1], scheme, model: 1, channels: &[0], inflated, global: &[], level: &stored })
     };
     for scheme in [0, 2] {
-        let read = |vulkan, level: &[u8]| decode(&file(vulkan, level, scheme), 2).unwrap().samples;
-        assert_eq!(read(9, &[7, 8]), Samples::U8(vec![7, 0, 0, 8, 0, 0]));
-        assert_eq!(read(22, &[1, 2, 3, 4]), Samples::U8(vec![1, 2, 0, 3, 4, 0]));
-        assert_eq!(read(29, &[1, 2, 3, 4, 5, 6]), Samples::U8(vec![1, 2, 3, 4, 5, 6]));
-        assert_eq!(read(44, &[1, 2, 3, 4, 5, 6, 7, 8]), Samples::U8(vec![3, 2, 1, 4, 7, 6, 5, 8]));
-        assert_eq!(read(70, &[1, 2, 3, 4]), Samples::U16(vec![513, 0, 0, 1027, 0, 0]));
+        let read = |vulkan, level: &[u8]| decode(&file(vulkan, level, scheme), 2).unwrap();
+        assert_eq!(bytes(&read(9, &[7, 8])), [7, 0, 0, 8, 0, 0]);
+        assert_eq!(bytes(&read(22, &[1, 2, 3, 4])), [1, 2, 0, 3, 4, 0]);
+        assert_eq!(bytes(&read(29, &[1, 2, 3, 4, 5, 6])), [1, 2, 3, 4, 5, 6]);
+        assert_eq!(bytes(&read(44, &[1, 2, 3, 4, 5, 6, 7, 8])), [3, 2, 1, 4, 7, 6, 5, 8]);
+        assert_eq!(u16::of(&read(70, &[1, 2, 3, 4])).unwrap(), [513, 0, 0, 1027, 0, 0]);
     }
     assert!(!is_lossy(&file(43, &[0; 8], 0)));
     assert!(header(&file(131, &[0; 8], 0)).unwrap_err().message.contains("format 131"));

@@ -1,12 +1,8 @@
-//! WebP: lossy and lossless stills, with alpha.
+//! WebP: what the chunks of a file say, checked before its stills, lossy or lossless, with or without alpha, are decoded.
 
-use std::io::Cursor;
-
-use image_webp::WebPDecoder;
-
-use super::{check_sides, invalid, sample_count};
+use super::{check_sides, invalid};
 use crate::error::Result;
-use crate::texture::{Format, Header, Image, Samples};
+use crate::texture::{Format, Header};
 
 /// Flags of an extended file.
 const ALPHA: u8 = 0x10;
@@ -27,18 +23,6 @@ pub(super) fn header(bytes: &[u8]) -> Result<Header> {
 
 pub(super) fn is_lossy(bytes: &[u8]) -> bool {
     container(bytes).is_ok_and(|c| c.lossy)
-}
-
-pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<Image> {
-    let header = header(bytes)?;
-    let samples = sample_count(&header, max_pixels)?;
-    let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(invalid)?;
-    if decoder.dimensions() != (header.width, header.height) || decoder.output_buffer_size() != Some(samples) {
-        return Err(invalid("its chunks contradict each other"));
-    }
-    let mut buffer = vec![0; samples];
-    decoder.read_image(&mut buffer).map_err(invalid)?;
-    Ok(Image { width: header.width, height: header.height, channels: header.channels, samples: Samples::U8(buffer) })
 }
 
 /// Walks the chunks (RFC 9649, section 2): all are there, and the picture has the size of the canvas, so that the decoder

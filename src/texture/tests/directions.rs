@@ -3,13 +3,13 @@
 use super::*;
 
 /// An image whose texels are directions, by a function of the place.
-fn field(channels: u8, value: impl Fn(DVec2) -> [f64; 3]) -> Image {
+fn field(channels: u8, value: impl Fn(DVec2) -> [f64; 3]) -> DynamicImage {
     let texels = (0..256 * 256).map(|i| value(DVec2::new(f64::from(i % 256) + 0.5, f64::from(i / 256) + 0.5)));
     let samples = texels.flat_map(|v| {
         let coded = v.map(|v| (v * 255.0).round() as u8).into_iter().chain([255]);
         coded.take(usize::from(channels)).collect::<Vec<_>>()
     });
-    Image { width: 256, height: 256, channels, samples: Samples::U8(samples.collect()) }
+    from_samples([256, 256], channels, samples.collect()).unwrap()
 }
 
 fn coded(v: f64) -> f64 {
@@ -27,7 +27,7 @@ fn brushed(p: DVec2) -> [f64; 3] {
 }
 
 /// The three numbers of a texel as numbers, by bilinear filtering.
-fn read(image: &Image, p: DVec2) -> DVec3 {
+fn read(image: &DynamicImage, p: DVec2) -> DVec3 {
     let (base, t) = ((p - 0.5).floor(), p - 0.5 - (p - 0.5).floor());
     let mut sum = DVec3::ZERO;
     for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {

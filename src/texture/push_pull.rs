@@ -6,7 +6,8 @@
 use rayon::prelude::*;
 
 use super::Direction;
-use super::codec::{Codec, Depth, Space, alpha_channel};
+use super::pixels::Depth;
+use super::transfer::{Space, Transfer, alpha_channel};
 use crate::context::Context;
 use crate::error::Result;
 
@@ -21,8 +22,8 @@ struct Level<const C: usize> {
 }
 
 impl<const C: usize> Level<C> {
-    /// The next level, half as large. `below` gives a texel of the level below: its weighted value, its weight.
-    fn above(width: usize, height: usize, below: impl Fn(usize) -> ([f32; C], f32) + Sync) -> Self {
+    /// Pulls up the next level, half as large. `below` gives a texel of the level below: its weighted value, its weight.
+    fn pull(width: usize, height: usize, below: impl Fn(usize) -> ([f32; C], f32) + Sync) -> Self {
         let (w, h) = (width.div_ceil(2), height.div_ceil(2));
         let mut texels = vec![([0.0; C], 0.0); w * h];
         texels.par_chunks_mut(w).with_min_len(ROWS).enumerate().for_each(|(y, row)| {
@@ -42,9 +43,9 @@ impl<const C: usize> Level<C> {
         Level { width: w, height: h, texels }
     }
 
-    /// Bilinear value of this level at a texel of the level below.
+    /// What this level pushes down to a texel of the level below: its bilinear value there.
     #[inline]
-    fn below(&self, x: usize, y: usize) -> [f32; C] {
+    fn push(&self, x: usize, y: usize) -> [f32; C] {
         // The near texel has 3/4 of the weight, the one on the other side of the half 1/4.
         let other = |i: usize, size: usize| {
             if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) }
@@ -66,11 +67,11 @@ fn sum<const C: usize>(a: ([f32; C], f32), b: ([f32; C], f32)) -> ([f32; C], f32
 }
 
 /// Fills the texels of a `width`-wide image for which `known` is 0. An image without a known texel becomes black (opaque), or flat.
-pub(crate) fn fill<T: Depth, const C: usize>(
+pub(crate) fn push_pull<T: Depth, const C: usize>(
     texels: &mut [T],
     known: &[u8],
     width: usize,
-    codec: &Codec<T>,
+    transfer: &Transfer<T>,
     context: &Context,
 ) -> Result<()> {
     let height = known.len().checked_div(width).unwrap_or(0);
@@ -79,13 +80,13 @@ pub(crate) fn fill<T: Depth, const C: usize>(
     }
     context.check()?;
     let pixels = &*texels;
-    let mut pyramid = vec![Level::<C>::above(width, height, |i| match known[i] {
+    let mut pyramid = vec![Level::<C>::pull(width, height, |i| match known[i] {
         0 => ([0.0; C], 0.0),
-        _ => (codec.decode::<C>(&pixels[i * C..(i + 1) * C]), 1.0),
+        _ => (transfer.decode::<C>(&pixels[i * C..(i + 1) * C]), 1.0),
     })];
     while let Some(level) = pyramid.last().filter(|l| l.width > 1 || l.height > 1) {
         context.check()?;
-        pyramid.push(Level::above(level.width, level.height, |i| {
+        pyramid.push(Level::pull(level.width, level.height, |i| {
             let (value, weight) = level.texels[i];
             (value.map(|v| weight * v), weight)
         }));
@@ -93,7 +94,7 @@ pub(crate) fn fill<T: Depth, const C: usize>(
     if let Some((value, weight)) = pyramid.last_mut().and_then(|top| top.texels.first_mut())
         && *weight == 0.0
     {
-        *value = nothing(codec.space);
+        *value = neutral(transfer.space);
     }
     // Down to the level above the image, then the image itself.
     for l in (0..pyramid.len().saturating_sub(1)).rev() {
@@ -104,7 +105,7 @@ pub(crate) fn fill<T: Depth, const C: usize>(
         level.texels.par_chunks_mut(w).with_min_len(ROWS).enumerate().for_each(|(y, row)| {
             for (x, (value, weight)) in row.iter_mut().enumerate() {
                 if *weight < 1.0 {
-                    let pushed = above.below(x, y);
+                    let pushed = above.push(x, y);
                     value.iter_mut().zip(pushed).for_each(|(v, p)| *v = *weight * *v + (1.0 - *weight) * p);
                 }
             }
@@ -116,7 +117,7 @@ pub(crate) fn fill<T: Depth, const C: usize>(
     rows.for_each(|(y, (row, known))| {
         for (x, (texel, known)) in row.chunks_exact_mut(C).zip(known).enumerate() {
             if *known == 0 {
-                codec.encode::<C>(first.below(x, y), texel);
+                transfer.encode::<C>(first.push(x, y), texel);
             }
         }
     });
@@ -124,7 +125,7 @@ pub(crate) fn fill<T: Depth, const C: usize>(
 }
 
 /// What stands where nothing is known.
-fn nothing<const C: usize>(space: Space) -> [f32; C] {
+fn neutral<const C: usize>(space: Space) -> [f32; C] {
     let neutral = match space {
         Space::Directed(Direction::Normal) => Some(2),
         Space::Directed(Direction::Anisotropy) => Some(0),
@@ -140,8 +141,8 @@ mod tests {
     fn filled(width: usize, height: usize, value: [u8; 4], known: impl Fn(usize) -> bool) -> Vec<u8> {
         let mask: Vec<u8> = (0..width * height).map(|i| u8::from(known(i))).collect();
         let mut texels: Vec<u8> = mask.iter().flat_map(|k| if *k == 1 { value } else { [9; 4] }).collect();
-        let codec = Codec::<u8>::new(Space::Srgb);
-        fill::<u8, 4>(&mut texels, &mask, width, &codec, &Context::silent()).unwrap();
+        let transfer = Transfer::<u8>::new(Space::Srgb);
+        push_pull::<u8, 4>(&mut texels, &mask, width, &transfer, &Context::silent()).unwrap();
         texels
     }
 
@@ -165,8 +166,8 @@ mod tests {
         let (w, h) = (64, 48);
         let mask: Vec<u8> = (0..w * h).map(|i| u8::from(i % w == 0 || i % w == w - 1)).collect();
         let mut texels: Vec<u8> = (0..w * h).map(|i| if i % w == 0 { 20 } else { 220 }).collect();
-        let codec = Codec::<u8>::new(Space::Linear);
-        fill::<u8, 1>(&mut texels, &mask, w, &codec, &Context::silent()).unwrap();
+        let transfer = Transfer::<u8>::new(Space::Linear);
+        push_pull::<u8, 1>(&mut texels, &mask, w, &transfer, &Context::silent()).unwrap();
         for y in 0..h {
             let row = &texels[y * w..(y + 1) * w];
             assert_eq!((row[0], row[w - 1]), (20, 220));

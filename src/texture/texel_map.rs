@@ -1,6 +1,6 @@
 //! From the texels of the new sheets back to the uploaded image, face by face, through provenance alone.
 
-use glam::{DMat2, DVec2};
+use glam::{DAffine2, DMat2, DVec2};
 
 use super::direction::{Turn, nearest_orthogonal};
 use super::{Bake, Source, page_size};
@@ -18,7 +18,7 @@ const TRIED: usize = 16;
 
 /// Where texels come from.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Map {
+pub(crate) enum TexelMap {
     /// Whole texels: the uploaded point is `turn * point + shift`.
     Exact {
         /// Quarter turn and mirror.
@@ -26,63 +26,61 @@ pub(crate) enum Map {
         /// In texels.
         shift: [i64; 2],
     },
-    /// Resampled: the uploaded point is `linear * point + shift`.
+    /// Resampled.
     Affine {
-        /// Texels of the uploaded image by texels of the sheet.
-        linear: DMat2,
-        /// In texels of the uploaded image.
-        shift: DVec2,
+        /// From texels of the sheet to texels of the uploaded image.
+        to_source: DAffine2,
         /// How directions turn, in texels of the reference sheet, whose axes have equal units.
         rotation: DMat2,
     },
 }
 
-impl Map {
+impl TexelMap {
     /// The point of the uploaded image, in its texels.
     pub(crate) fn apply(&self, point: DVec2) -> DVec2 {
         match *self {
-            Map::Exact { turn, shift } => turn.matrix() * point + DVec2::new(shift[0] as f64, shift[1] as f64),
-            Map::Affine { linear, shift, .. } => linear * point + shift,
+            TexelMap::Exact { turn, shift } => turn.matrix() * point + DVec2::new(shift[0] as f64, shift[1] as f64),
+            TexelMap::Affine { to_source, .. } => to_source.transform_point2(point),
         }
     }
 
     /// Orthogonal part from new to uploaded texels: what directions turn by.
     pub(crate) fn rotation(&self) -> DMat2 {
         match *self {
-            Map::Exact { turn, .. } => turn.matrix(),
-            Map::Affine { rotation, .. } => rotation,
+            TexelMap::Exact { turn, .. } => turn.matrix(),
+            TexelMap::Affine { rotation, .. } => rotation,
         }
     }
 }
 
 /// The maps of all faces of a slot.
-pub(crate) struct Maps {
+pub(crate) struct TexelMaps {
     /// Distinct maps.
-    pub(crate) all: Vec<Map>,
+    pub(crate) all: Vec<TexelMap>,
     /// By map: the source that it leads to.
     pub(crate) source: Vec<u32>,
     /// By source: whether it only fills.
     neutral: Vec<bool>,
-    /// Index into `all` by face, or [`Maps::NONE`] for a face that does not read the slot (or has no place on a sheet).
+    /// Index into `all` by face, or [`TexelMaps::NONE`] for a face that does not read the slot (or has no place on a sheet).
     pub(crate) of_face: Vec<u32>,
     /// Corners of each face on its page, in texels of the slot.
     pub(crate) corners: Vec<[DVec2; 3]>,
 }
 
-impl Maps {
+impl TexelMaps {
     /// No map.
     pub(crate) const NONE: u32 = u32::MAX;
 
-    /// Maps every face of `job.after` that reads the slot. Fails with `internal` when the Atlases do not belong together.
+    /// TexelMaps every face of `job.after` that reads the slot. Fails with `internal` when the Atlases do not belong together.
     pub(crate) fn new(job: &Bake<'_>, charts: &Charts) -> Result<Self> {
         let after = job.after;
         let count = after.face_count();
         let mut builder = Builder {
-            maps: Maps {
+            maps: TexelMaps {
                 all: Vec::new(),
                 source: Vec::new(),
                 neutral: job.sources.iter().map(|s| s.neutral).collect(),
-                of_face: vec![Maps::NONE; count],
+                of_face: vec![TexelMaps::NONE; count],
                 corners: vec![[DVec2::ZERO; 3]; count],
             },
             source: vec![[DVec2::ZERO; 3]; count],
@@ -99,12 +97,12 @@ impl Maps {
     }
 
     /// The map of a face that reads the slot.
-    pub(crate) fn get(&self, face: usize) -> Option<&Map> {
+    pub(crate) fn get(&self, face: usize) -> Option<&TexelMap> {
         self.all.get(*self.of_face.get(face)? as usize)
     }
 
     /// The map of a face that reads the slot, and the source that it leads to.
-    pub(crate) fn with_source(&self, face: usize) -> Option<(&Map, usize)> {
+    pub(crate) fn with_source(&self, face: usize) -> Option<(&TexelMap, usize)> {
         let map = *self.of_face.get(face)? as usize;
         Some((self.all.get(map)?, *self.source.get(map)? as usize))
     }
@@ -117,7 +115,7 @@ impl Maps {
 
 /// Texels of an uploaded image by texels of the reference sheet.
 pub(crate) fn source_scale(source: &Source<'_>) -> DVec2 {
-    let size = DVec2::new(f64::from(source.image.width), f64::from(source.image.height));
+    let size = DVec2::new(f64::from(source.image.width()), f64::from(source.image.height()));
     size / DVec2::new(f64::from(source.sheet[0].max(1)), f64::from(source.sheet[1].max(1)))
 }
 
@@ -129,7 +127,7 @@ fn sheet_scale(job: &Bake<'_>, page: usize) -> DVec2 {
 }
 
 struct Builder<'a> {
-    maps: Maps,
+    maps: TexelMaps,
     /// Corners on the uploaded image.
     source: Vec<[DVec2; 3]>,
     /// Index of that image, by face.
@@ -179,7 +177,7 @@ impl Builder<'_> {
         let mut order: Vec<(f64, usize)> = faces
             .iter()
             .map(|f| f.index())
-            .filter(|f| self.maps.of_face[*f] != Maps::NONE)
+            .filter(|f| self.maps.of_face[*f] != TexelMaps::NONE)
             .map(|f| (area(f), f))
             .collect();
         order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -188,8 +186,8 @@ impl Builder<'_> {
         for (_, f) in order {
             let source = self.source_of[f];
             let known = exact.iter().rev().take(TRIED).copied().find(|m| match self.maps.all[*m as usize] {
-                Map::Exact { turn, shift } => self.maps.source[*m as usize] == source && self.fits(f, turn, shift),
-                Map::Affine { .. } => false,
+                TexelMap::Exact { turn, shift } => self.maps.source[*m as usize] == source && self.fits(f, turn, shift),
+                TexelMap::Affine { .. } => false,
             });
             let map = known.unwrap_or_else(|| {
                 let index = self.maps.all.len() as u32;
@@ -198,7 +196,7 @@ impl Builder<'_> {
                     exact.push(index);
                     self.maps.all.push(map);
                 } else {
-                    let sibling = self.maps.all.get(first).map(Map::rotation);
+                    let sibling = self.maps.all.get(first).map(TexelMap::rotation);
                     let map = self.affine(f, sibling);
                     self.maps.all.push(map);
                 }
@@ -209,21 +207,21 @@ impl Builder<'_> {
     }
 
     fn fits(&self, f: usize, turn: Turn, shift: [i64; 2]) -> bool {
-        let map = Map::Exact { turn, shift };
+        let map = TexelMap::Exact { turn, shift };
         let pairs = self.maps.corners[f].iter().zip(&self.source[f]);
         pairs.into_iter().all(|(q, p)| (map.apply(*q) - *p).abs().max_element() <= EXACT)
     }
 
-    fn exact(&self, f: usize) -> Option<Map> {
+    fn exact(&self, f: usize) -> Option<TexelMap> {
         let (q, p) = (self.maps.corners[f][0], self.source[f][0]);
         Turn::ALL.into_iter().find_map(|turn| {
             let shift = (p - turn.matrix() * q).round();
             let shift = [shift.x as i64, shift.y as i64];
-            self.fits(f, turn, shift).then_some(Map::Exact { turn, shift })
+            self.fits(f, turn, shift).then_some(TexelMap::Exact { turn, shift })
         })
     }
 
-    fn affine(&self, f: usize, sibling: Option<DMat2>) -> Map {
+    fn affine(&self, f: usize, sibling: Option<DMat2>) -> TexelMap {
         let (q, p) = (self.maps.corners[f], self.source[f]);
         let edges = DMat2::from_cols(q[1] - q[0], q[2] - q[0]);
         let longest = (0..3)
@@ -244,7 +242,8 @@ impl Builder<'_> {
             * linear
             * DMat2::from_diagonal(self.sheet_scale[page]);
         let rotation = nearest_orthogonal(in_reference);
-        Map::Affine { linear, shift: p[longest.0] - linear * q[longest.0], rotation }
+        let to_source = DAffine2::from_mat2_translation(linear, p[longest.0] - linear * q[longest.0]);
+        TexelMap::Affine { to_source, rotation }
     }
 }
 

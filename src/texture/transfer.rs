@@ -1,52 +1,7 @@
-//! Between the samples of a file and the numbers that filters work on.
+//! Transfer functions: between the samples of a file and the numbers that filters work on.
 
-use super::{Direction, Role, Samples};
-
-/// A sample's type: 8 or 16 bits.
-pub(crate) trait Depth: Copy + Default + Eq + Send + Sync + 'static {
-    /// The largest value.
-    const MAX: u32;
-    /// As a number in `0..=MAX`.
-    fn value(self) -> u32;
-    /// From a number in `0..=MAX`.
-    fn from_value(value: u32) -> Self;
-    /// As an image holds them.
-    fn samples(all: Vec<Self>) -> Samples;
-    /// The samples of an image, where they are of this type.
-    fn of(samples: &Samples) -> Option<&[Self]>;
-}
-
-impl Depth for u8 {
-    const MAX: u32 = 255;
-    fn value(self) -> u32 {
-        u32::from(self)
-    }
-    fn from_value(value: u32) -> Self {
-        value as u8
-    }
-    fn samples(all: Vec<Self>) -> Samples {
-        Samples::U8(all)
-    }
-    fn of(samples: &Samples) -> Option<&[Self]> {
-        if let Samples::U8(all) = samples { Some(all) } else { None }
-    }
-}
-
-impl Depth for u16 {
-    const MAX: u32 = 65_535;
-    fn value(self) -> u32 {
-        u32::from(self)
-    }
-    fn from_value(value: u32) -> Self {
-        value as u16
-    }
-    fn samples(all: Vec<Self>) -> Samples {
-        Samples::U16(all)
-    }
-    fn of(samples: &Samples) -> Option<&[Self]> {
-        if let Samples::U16(all) = samples { Some(all) } else { None }
-    }
-}
+use super::pixels::Depth;
+use super::{Direction, Role};
 
 /// What the colour channels hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,8 +47,8 @@ pub(crate) fn linear_to_srgb(value: f64) -> f64 {
 /// Buckets of the table that finds an 8-bit sRGB code; the darkest codes are more than one bucket apart.
 const BUCKETS: usize = 8192;
 
-/// Decodes and encodes the samples of one slot.
-pub(crate) struct Codec<T> {
+/// The transfer function of one slot, as tables: decodes and encodes its samples.
+pub(crate) struct Transfer<T> {
     /// What the colour channels hold.
     pub(crate) space: Space,
     colour: Vec<f32>,
@@ -106,7 +61,7 @@ pub(crate) struct Codec<T> {
     depth: std::marker::PhantomData<T>,
 }
 
-impl<T: Depth> Codec<T> {
+impl<T: Depth> Transfer<T> {
     /// Tables for a space.
     pub(crate) fn new(space: Space) -> Self {
         let unit = |v: u32| f64::from(v) / f64::from(T::MAX);
@@ -129,13 +84,13 @@ impl<T: Depth> Codec<T> {
                 codes.push(code as u8);
             }
         }
-        Codec { space, colour, plain, codes, limits, depth: std::marker::PhantomData }
+        Transfer { space, colour, plain, codes, limits, depth: std::marker::PhantomData }
     }
 
-    /// The codec in which texels are interpolated: encoded values, as dark edges would ring in linear light, and as the figures of
+    /// The transfer function in which texels are interpolated: encoded values, as dark edges would ring in linear light, and as the figures of
     /// fidelity take them.
     pub(crate) fn shown(&self) -> Self {
-        Codec::new(if self.space == Space::Srgb { Space::Linear } else { self.space })
+        Transfer::new(if self.space == Space::Srgb { Space::Linear } else { self.space })
     }
 
     /// The numbers of one texel of `C` samples.
@@ -151,7 +106,7 @@ impl<T: Depth> Codec<T> {
         out
     }
 
-    /// The numbers of texels that lie side by side. Faster than [`Codec::decode`] where samples are plain numbers.
+    /// The numbers of texels that lie side by side. Faster than [`Transfer::decode`] where samples are plain numbers.
     #[inline]
     pub(crate) fn decode_all<const C: usize, const N: usize>(&self, texels: &[T], out: &mut [[f32; C]; N]) {
         if self.space == Space::Linear {
@@ -216,11 +171,11 @@ mod tests {
     use super::*;
 
     fn round_trip<T: Depth + std::fmt::Debug>(space: Space) {
-        let codec = Codec::<T>::new(space);
+        let transfer = Transfer::<T>::new(space);
         for v in 0..=T::MAX {
             let texel = [T::from_value(v), T::from_value(T::MAX - v)];
             let mut out = [T::default(); 2];
-            codec.encode::<2>(codec.decode::<2>(&texel), &mut out);
+            transfer.encode::<2>(transfer.decode::<2>(&texel), &mut out);
             assert_eq!(out, texel, "{space:?}");
         }
     }
@@ -235,11 +190,11 @@ mod tests {
 
     #[test]
     fn light_becomes_the_nearest_code() {
-        let codec = Codec::<u8>::new(Space::Srgb);
+        let transfer = Transfer::<u8>::new(Space::Srgb);
         for i in 0..=100_000 {
             let light = f64::from(i) / 100_000.0;
             let mut out = [0u8];
-            codec.encode::<1>([light as f32], &mut out);
+            transfer.encode::<1>([light as f32], &mut out);
             let exact = linear_to_srgb(light) * 255.0;
             assert!((f64::from(out[0]) - exact).abs() < 0.501, "{light}: {} for {exact}", out[0]);
         }
@@ -247,23 +202,23 @@ mod tests {
 
     #[test]
     fn directions_are_encoded_as_unit_vectors() {
-        let codec = Codec::<u8>::new(Space::Directed(Direction::Normal));
+        let transfer = Transfer::<u8>::new(Space::Directed(Direction::Normal));
         let mut out = [0u8; 3];
-        codec.encode::<3>([0.0, 0.0, 0.2], &mut out);
+        transfer.encode::<3>([0.0, 0.0, 0.2], &mut out);
         assert_eq!(out, [128, 128, 255]);
-        codec.encode::<3>([0.0; 3], &mut out);
+        transfer.encode::<3>([0.0; 3], &mut out);
         assert_eq!(out, [128, 128, 255]);
     }
 
     #[test]
     fn the_strength_of_an_anisotropy_is_a_plain_number() {
-        let codec = Codec::<u8>::new(Space::Directed(Direction::Anisotropy));
-        let texel = codec.decode::<4>(&[255, 0, 51, 102]);
+        let transfer = Transfer::<u8>::new(Space::Directed(Direction::Anisotropy));
+        let texel = transfer.decode::<4>(&[255, 0, 51, 102]);
         assert_eq!(texel, [1.0, -1.0, 0.2, 0.4]);
         let mut out = [0u8; 4];
-        codec.encode::<4>([0.0, -0.3, 0.2, 0.4], &mut out);
+        transfer.encode::<4>([0.0, -0.3, 0.2, 0.4], &mut out);
         assert_eq!(out, [128, 0, 51, 102]);
-        codec.encode::<4>([0.0, 0.0, 0.2, 0.4], &mut out);
+        transfer.encode::<4>([0.0, 0.0, 0.2, 0.4], &mut out);
         assert_eq!(out, [255, 128, 51, 102]);
     }
 }

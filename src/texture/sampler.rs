@@ -8,8 +8,9 @@
 
 use glam::{DMat2, DVec2, Vec2};
 
-use super::codec::{Codec, Depth, Space, alpha_channel};
 use super::direction::{doubled, halved};
+use super::pixels::Depth;
+use super::transfer::{Space, Transfer, alpha_channel};
 use super::{Direction, Wrap};
 
 /// Texels of the uploaded image by new texel, along the longer axis, from which the kernel is stretched.
@@ -23,9 +24,9 @@ pub(crate) struct Sampler<'a, T, const C: usize> {
     pub(crate) size: [i64; 2],
     pub(crate) wrap: [Wrap; 2],
     /// Averages: linear light.
-    pub(crate) codec: &'a Codec<T>,
-    /// Interpolates: [`Codec::shown`].
-    pub(crate) shown: &'a Codec<T>,
+    pub(crate) transfer: &'a Transfer<T>,
+    /// Interpolates: [`Transfer::shown`].
+    pub(crate) shown: &'a Transfer<T>,
     /// Whether colour is weighted by alpha while filtering.
     pub(crate) premultiply: bool,
 }
@@ -36,7 +37,7 @@ pub(crate) enum Footprint {
     /// About a texel or less: interpolate.
     Point,
     /// More than a texel.
-    Wide {
+    Minified {
         /// From offsets on the uploaded image to units of the stretched kernel.
         inverse: DMat2,
         /// Half of the bounding box of the kernel's support, in texels.
@@ -66,27 +67,27 @@ impl Footprint {
         let shaped = if minor >= 1.0 { linear } else { DMat2::from_cols(along * wide, across * narrow) };
         let reach = 2.0 * (shaped.x_axis.abs() + shaped.y_axis.abs());
         let step = (4.0 * wide / TAPS).ceil().clamp(1.0, 1e6) as i64;
-        Footprint::Wide { inverse: shaped.inverse(), reach: reach.min(DVec2::splat(1e7)), step }
+        Footprint::Minified { inverse: shaped.inverse(), reach: reach.min(DVec2::splat(1e7)), step }
     }
 }
 
 impl<T: Depth, const C: usize> Sampler<'_, T, C> {
-    /// The codec of what [`Sampler::sample`] gives.
-    pub(crate) fn codec_of(&self, footprint: &Footprint) -> &Codec<T> {
-        if matches!(footprint, Footprint::Point) { self.shown } else { self.codec }
+    /// The transfer function of what [`Sampler::sample`] gives.
+    pub(crate) fn transfer_of(&self, footprint: &Footprint) -> &Transfer<T> {
+        if matches!(footprint, Footprint::Point) { self.shown } else { self.transfer }
     }
 
     /// The filtered value at a point, in texels; premultiplied colour is divided again.
     pub(crate) fn sample(&self, point: DVec2, footprint: &Footprint) -> [f32; C] {
-        let codec = self.codec_of(footprint);
+        let transfer = self.transfer_of(footprint);
         let mut value = match footprint {
             Footprint::Point => self.interpolate(point),
-            Footprint::Wide { inverse, reach, step } => self.shrink(point, inverse, *reach, *step),
+            Footprint::Minified { inverse, reach, step } => self.minify(point, inverse, *reach, *step),
         };
         if let (true, Some(a)) = (self.premultiply, alpha_channel(C)) {
             let alpha = value[a];
             // Nothing shows here: the colour is taken without weights, so that it stays smooth for filtering.
-            let scale = if alpha > 1e-4 { alpha.recip() } else { return self.bilinear(point, codec) };
+            let scale = if alpha > 1e-4 { alpha.recip() } else { return self.bilinear(point, transfer) };
             value.iter_mut().take(a).for_each(|v| *v *= scale);
         }
         value
@@ -94,7 +95,7 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
 
     /// Bilinear interpolation as a renderer does it, colour not weighted by alpha.
     #[inline]
-    pub(crate) fn bilinear(&self, point: DVec2, codec: &Codec<T>) -> [f32; C] {
+    pub(crate) fn bilinear(&self, point: DVec2, transfer: &Transfer<T>) -> [f32; C] {
         let ([x, y], t) = base(point);
         let mut out = [0.0; C];
         let inside = x >= 0 && x + 1 < self.size[0];
@@ -102,9 +103,9 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
             let first = self.index(x, y + dy);
             let mut pair = [[0.0; C]; 2];
             if inside {
-                codec.decode_all(&self.texels[first..first + 2 * C], &mut pair);
+                transfer.decode_all(&self.texels[first..first + 2 * C], &mut pair);
             } else {
-                pair = [first, self.index(x + 1, y + dy)].map(|at| codec.decode::<C>(&self.texels[at..at + C]));
+                pair = [first, self.index(x + 1, y + dy)].map(|at| transfer.decode::<C>(&self.texels[at..at + C]));
             }
             for c in 0..C {
                 out[c] += wy * ((1.0 - t.x) * pair[0][c] + t.x * pair[1][c]);
@@ -123,8 +124,8 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
     }
 
     #[inline]
-    fn at(&self, index: usize, codec: &Codec<T>) -> [f32; C] {
-        let mut value = codec.decode::<C>(&self.texels[index..index + C]);
+    fn at(&self, index: usize, transfer: &Transfer<T>) -> [f32; C] {
+        let mut value = transfer.decode::<C>(&self.texels[index..index + C]);
         if let (true, Some(a)) = (self.premultiply, alpha_channel(C)) {
             let alpha = value[a];
             value.iter_mut().take(a).for_each(|v| *v *= alpha);
@@ -175,42 +176,42 @@ impl<T: Depth, const C: usize> Sampler<'_, T, C> {
                 high[c] = high[c].max(highs[i][c]);
             }
         }
-        limit(&mut out, &low, &high);
+        clamp(&mut out, &low, &high);
         out
     }
 
-    fn shrink(&self, point: DVec2, inverse: &DMat2, reach: DVec2, step: i64) -> [f32; C] {
+    fn minify(&self, point: DVec2, inverse: &DMat2, reach: DVec2, step: i64) -> [f32; C] {
         let first = |v: f64| ((v - 0.5) / step as f64).ceil() as i64;
         let (from, to) = (point - reach, point + reach);
         let mut out = [0.0; C];
         let mut total = 0.0;
-        let axes = self.codec.space == Space::Directed(Direction::Anisotropy);
+        let axes = self.transfer.space == Space::Directed(Direction::Anisotropy);
         let (mut low, mut high) = ([f32::INFINITY; C], [f32::NEG_INFINITY; C]);
         for y in first(from.y)..=first(to.y) {
             for x in first(from.x)..=first(to.x) {
-                let (x, y) = if step > 1 { scattered(x, y, step) } else { (x, y) };
+                let (x, y) = if step > 1 { jittered(x, y, step) } else { (x, y) };
                 let k = (*inverse * (DVec2::new(x as f64 + 0.5, y as f64 + 0.5) - point)).abs().as_vec2();
                 let weight = four_point(k.x) * four_point(k.y);
                 if weight == 0.0 {
                     continue;
                 }
-                let mut value = self.at(self.index(x, y), self.codec);
+                let mut value = self.at(self.index(x, y), self.transfer);
                 if axes {
                     doubled(&mut value);
                 }
                 add(&mut out, weight, &value);
                 total += weight;
                 if k.x < 1.0 && k.y < 1.0 {
-                    widen(&mut low, &mut high, &value);
+                    extend(&mut low, &mut high, &value);
                 }
             }
         }
-        let nearest = || self.at(self.index(point.x.floor() as i64, point.y.floor() as i64), self.codec);
+        let nearest = || self.at(self.index(point.x.floor() as i64, point.y.floor() as i64), self.transfer);
         if total < 0.25 || low[0] > high[0] {
             return nearest();
         }
         out.iter_mut().for_each(|v| *v /= total);
-        limit(&mut out, &low, &high);
+        clamp(&mut out, &low, &high);
         if axes {
             halved(&mut out, &nearest());
         }
@@ -232,7 +233,7 @@ fn base(point: DVec2) -> ([i64; 2], Vec2) {
 }
 
 /// One texel of a cell of `step` x `step`: no pattern of the image may fall in with the lattice.
-fn scattered(x: i64, y: i64, step: i64) -> (i64, i64) {
+fn jittered(x: i64, y: i64, step: i64) -> (i64, i64) {
     let mixed = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
     let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let offset = |bits: u64| ((bits & 0xffff) as i64 * step) >> 16;
@@ -247,7 +248,7 @@ fn add<const C: usize>(sum: &mut [f32; C], weight: f32, value: &[f32; C]) {
 }
 
 #[inline]
-fn widen<const C: usize>(low: &mut [f32; C], high: &mut [f32; C], value: &[f32; C]) {
+fn extend<const C: usize>(low: &mut [f32; C], high: &mut [f32; C], value: &[f32; C]) {
     for c in 0..C {
         low[c] = low[c].min(value[c]);
         high[c] = high[c].max(value[c]);
@@ -255,7 +256,7 @@ fn widen<const C: usize>(low: &mut [f32; C], high: &mut [f32; C], value: &[f32; 
 }
 
 #[inline]
-fn limit<const C: usize>(value: &mut [f32; C], low: &[f32; C], high: &[f32; C]) {
+fn clamp<const C: usize>(value: &mut [f32; C], low: &[f32; C], high: &[f32; C]) {
     for c in 0..C {
         value[c] = value[c].max(low[c]).min(high[c]);
     }
@@ -283,18 +284,18 @@ fn four_point(s: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::texture::codec::Space;
+    use crate::texture::transfer::Space;
 
-    fn sampler<'a>(texels: &'a [u16], codec: &'a Codec<u16>, width: i64) -> Sampler<'a, u16, 1> {
+    fn sampler<'a>(texels: &'a [u16], transfer: &'a Transfer<u16>, width: i64) -> Sampler<'a, u16, 1> {
         let size = [width, texels.len() as i64 / width];
-        Sampler { texels, size, wrap: [Wrap::ClampToEdge; 2], codec, shown: codec, premultiply: false }
+        Sampler { texels, size, wrap: [Wrap::ClampToEdge; 2], transfer, shown: transfer, premultiply: false }
     }
 
     #[test]
     fn a_linear_ramp_is_reproduced_under_any_turn_and_scale() {
-        let codec = Codec::<u16>::new(Space::Linear);
+        let transfer = Transfer::<u16>::new(Space::Linear);
         let texels: Vec<u16> = (0..64 * 64).map(|i| (i % 64 * 500 + i / 64 * 300) as u16).collect();
-        let s = sampler(&texels, &codec, 64);
+        let s = sampler(&texels, &transfer, 64);
         for scale in [0.5, 1.0, 1.7, 3.0] {
             let footprint = Footprint::new(DMat2::from_angle(0.6) * scale);
             for k in 0..200 {
@@ -309,9 +310,9 @@ mod tests {
 
     #[test]
     fn texel_centres_interpolate_and_masks_do_not_ring() {
-        let codec = Codec::<u16>::new(Space::Linear);
+        let transfer = Transfer::<u16>::new(Space::Linear);
         let texels: Vec<u16> = (0..256).map(|i| if i % 16 < 8 { 10_000 } else { 50_000 }).collect();
-        let s = sampler(&texels, &codec, 16);
+        let s = sampler(&texels, &transfer, 16);
         let value = |x: f64| f64::from(s.sample(DVec2::new(x, 8.5), &Footprint::Point)[0]) * 65_535.0;
         assert!((value(7.5) - 10_000.0).abs() < 0.1 && (value(8.5) - 50_000.0).abs() < 0.1);
         for k in 0..160 {
@@ -322,9 +323,9 @@ mod tests {
 
     #[test]
     fn a_checkerboard_made_smaller_is_grey() {
-        let codec = Codec::<u16>::new(Space::Linear);
+        let transfer = Transfer::<u16>::new(Space::Linear);
         let texels: Vec<u16> = (0..128 * 128).map(|i| if (i / 128 + i) % 2 == 0 { 0 } else { 65_535 }).collect();
-        let s = sampler(&texels, &codec, 128);
+        let s = sampler(&texels, &transfer, 128);
         for scale in [2.0, 5.3, 20.0, 50.0] {
             let footprint = Footprint::new(DMat2::from_angle(0.3) * scale);
             let v = s.sample(DVec2::new(63.2, 64.9), &footprint)[0];

@@ -1,13 +1,14 @@
-//! One band of rows of a page: its texels copied, resampled, fitted.
+//! Bakes a page by bands of rows: texels copied, resampled, fitted.
 
 use glam::DVec2;
 
-use super::codec::{Codec, Depth, Space, alpha_channel};
-use super::cover::{Band, NOBODY, Page};
+use super::bilinear_fit::{BilinearFit, HALO, QUADRATURE};
+use super::coverage::{Coverage, NO_FACE, PageRaster};
 use super::direction::{Turn, turn_vector};
-use super::map::{Map, Maps};
-use super::refit::{Field, HALO, POINTS};
-use super::sample::{Footprint, Sampler};
+use super::pixels::Depth;
+use super::sampler::{Footprint, Sampler};
+use super::texel_map::{TexelMap, TexelMaps};
+use super::transfer::{Space, Transfer, alpha_channel};
 use super::{Alpha, Bake};
 use crate::context::Context;
 use crate::error::Result;
@@ -30,10 +31,10 @@ pub(crate) struct Baker<'a, T, const C: usize> {
     /// By source.
     pub(crate) samplers: Vec<Sampler<'a, T, C>>,
     /// Averages: linear light.
-    pub(crate) codec: &'a Codec<T>,
-    /// Interpolates: [`Codec::shown`].
-    pub(crate) shown: &'a Codec<T>,
-    pub(crate) maps: Maps,
+    pub(crate) transfer: &'a Transfer<T>,
+    /// Interpolates: [`Transfer::shown`].
+    pub(crate) shown: &'a Transfer<T>,
+    pub(crate) maps: TexelMaps,
     /// By map; none where texels are copied.
     pub(crate) footprints: Vec<Option<Footprint>>,
     pub(crate) context: &'a Context,
@@ -59,15 +60,15 @@ struct Run {
 
 impl<T: Depth, const C: usize> Baker<'_, T, C> {
     /// Bakes the rows from `top` on that `out` and `states` hold.
-    pub(crate) fn band(&self, page: &Page, top: u32, out: &mut [T], states: &mut [u8]) -> Result<Counts> {
+    pub(crate) fn band(&self, page: &PageRaster, top: u32, out: &mut [T], states: &mut [u8]) -> Result<Counts> {
         let width = page.width as usize;
-        let fits = self.footprints.iter().any(|f| matches!(f, Some(Footprint::Point)));
-        let halo = if fits { HALO } else { 0 };
+        let has_fit = self.footprints.iter().any(|f| matches!(f, Some(Footprint::Point)));
+        let halo = if has_fit { HALO } else { 0 };
         let first = top.saturating_sub(halo);
         let last = (top + (states.len() / width) as u32).saturating_add(halo).min(page.height);
-        let band = page.band(first, last - first, self.context, &self.maps)?;
-        let fits = fits && band.owner.iter().any(|owner| self.interpolates(*owner));
-        let mut field = fits.then(|| Field::new(width, band.owner.len()));
+        let coverage = page.rows(first, last - first, self.context, &self.maps)?;
+        let has_fit = has_fit && coverage.owner.iter().any(|owner| self.interpolates(*owner));
+        let mut fit = has_fit.then(|| BilinearFit::new(width, coverage.owner.len()));
         let mut counts = Counts { copied: 0, alphas: [0; 256], shown: 0 };
         let mut beyond = vec![T::default(); width * C];
         for row in 0..(last - first) as usize {
@@ -76,21 +77,21 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             let core = y.checked_sub(top as usize).filter(|r| (r + 1) * width <= states.len());
             let line = match core {
                 Some(r) => &mut out[r * width * C..(r + 1) * width * C],
-                None if fits => &mut beyond[..],
+                None if has_fit => &mut beyond[..],
                 None => continue,
             };
-            self.row(&band, row, y, line, field.as_mut());
+            self.row(&coverage, row, y, line, fit.as_mut());
             if let Some(r) = core {
-                self.mark(&band, row, &mut states[r * width..(r + 1) * width], &mut counts);
+                self.mark(&coverage, row, &mut states[r * width..(r + 1) * width], &mut counts);
             }
         }
-        if let Some(mut field) = field {
+        if let Some(mut fit) = fit {
             self.context.check()?;
-            field.fit();
+            fit.solve();
             let start = (top - first) as usize * width;
             for (i, texel) in out.chunks_exact_mut(C).enumerate() {
-                if field.free[start + i] {
-                    self.shown.encode(field.values[start + i], texel);
+                if fit.free[start + i] {
+                    self.shown.encode(fit.values[start + i], texel);
                 }
             }
         }
@@ -98,7 +99,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             let start = (top - first) as usize * width;
             for (i, texel) in out.chunks_exact(C).enumerate().filter(|(i, _)| states[*i] == state::RESAMPLED) {
                 let centre = DVec2::new((i % width) as f64 + 0.5, f64::from(top) + (i / width) as f64 + 0.5);
-                let Some((map, source)) = self.maps.with_source(band.owner[start + i] as usize) else { continue };
+                let Some((map, source)) = self.maps.with_source(coverage.owner[start + i] as usize) else { continue };
                 // Only masks keep their coverage.
                 if !matches!(self.job.sources[source].alpha, Alpha::Mask(_)) {
                     continue;
@@ -109,7 +110,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
                     let point = map.apply(centre + DVec2::from(**offset));
                     sampler.bilinear(point, self.shown)[channel] >= cutoff
                 };
-                counts.shown += POINTS.iter().filter(shown).count() as u64;
+                counts.shown += QUADRATURE.iter().filter(shown).count() as u64;
             }
         }
         Ok(counts)
@@ -117,12 +118,12 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
 
     /// Whether a face's texels are interpolated (and then fitted).
     fn interpolates(&self, face: u32) -> bool {
-        let map = self.maps.of_face.get(face as usize).copied().unwrap_or(Maps::NONE);
+        let map = self.maps.of_face.get(face as usize).copied().unwrap_or(TexelMaps::NONE);
         matches!(self.footprints.get(map as usize), Some(Some(Footprint::Point)))
     }
 
     fn runs<'b>(&'b self, owners: &'b [u32]) -> impl Iterator<Item = Run> + 'b {
-        let map_of = |owner: u32| if owner == NOBODY { Maps::NONE } else { self.maps.of_face[owner as usize] };
+        let map_of = |owner: u32| if owner == NO_FACE { TexelMaps::NONE } else { self.maps.of_face[owner as usize] };
         let mut x = 0;
         owners.chunk_by(move |a, b| a == b || map_of(*a) == map_of(*b)).filter_map(move |run| {
             let columns = x..x + run.len();
@@ -133,15 +134,15 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
     }
 
     /// Copies or resamples the texels of one row.
-    fn row(&self, band: &Band, row: usize, y: usize, line: &mut [T], mut field: Option<&mut Field<C>>) {
+    fn row(&self, coverage: &Coverage, row: usize, y: usize, line: &mut [T], mut fit: Option<&mut BilinearFit<C>>) {
         let width = line.len() / C;
-        let owners = &band.owner[row * width..(row + 1) * width];
+        let owners = &coverage.owner[row * width..(row + 1) * width];
         for Run { map, columns } in self.runs(owners) {
             let out = &mut line[columns.start * C..columns.end * C];
             let start = row * width + columns.start;
             let sampler = &self.samplers[self.maps.source[map] as usize];
             match (&self.maps.all[map], &self.footprints[map]) {
-                (Map::Exact { turn, shift }, _) => {
+                (TexelMap::Exact { turn, shift }, _) => {
                     self.copy(sampler, *turn, *shift, [columns.start as i64, y as i64], out)
                 }
                 (_, None) => continue,
@@ -149,34 +150,34 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
                     for (i, texel) in out.chunks_exact_mut(C).enumerate() {
                         let centre = DVec2::new((columns.start + i) as f64 + 0.5, y as f64 + 0.5);
                         let value = self.turned(affine, sampler.sample(affine.apply(centre), footprint));
-                        sampler.codec_of(footprint).encode(value, texel);
-                        if let (Some(field), Footprint::Point) = (field.as_deref_mut(), footprint) {
-                            field.free[start + i] = true;
-                            if band.distance[start + i] == 0.0 {
-                                field.target_of[start + i] = field.targets.len() as u32;
-                                field.targets.push(POINTS.map(|offset| {
+                        sampler.transfer_of(footprint).encode(value, texel);
+                        if let (Some(fit), Footprint::Point) = (fit.as_deref_mut(), footprint) {
+                            fit.free[start + i] = true;
+                            if coverage.distance[start + i] == 0.0 {
+                                fit.target_of[start + i] = fit.targets.len() as u32;
+                                fit.targets.push(QUADRATURE.map(|offset| {
                                     let point = affine.apply(centre + DVec2::from(offset));
                                     self.turned(affine, sampler.bilinear(point, self.shown))
                                 }));
                             }
-                            field.values[start + i] = value;
+                            fit.values[start + i] = value;
                         }
                     }
                 }
             }
-            if let Some(field) = field.as_deref_mut() {
-                for (i, texel) in out.chunks_exact(C).enumerate().filter(|(i, _)| !field.free[start + i]) {
-                    field.values[start + i] = self.shown.decode(texel);
+            if let Some(fit) = fit.as_deref_mut() {
+                for (i, texel) in out.chunks_exact(C).enumerate().filter(|(i, _)| !fit.free[start + i]) {
+                    fit.values[start + i] = self.shown.decode(texel);
                 }
             }
         }
     }
 
     /// Notes what the texels of a row are.
-    fn mark(&self, band: &Band, row: usize, states: &mut [u8], counts: &mut Counts) {
+    fn mark(&self, coverage: &Coverage, row: usize, states: &mut [u8], counts: &mut Counts) {
         let start = row * states.len();
-        for Run { map, columns } in self.runs(&band.owner[start..start + states.len()]) {
-            let distance = &band.distance[start + columns.start..start + columns.end];
+        for Run { map, columns } in self.runs(&coverage.owner[start..start + states.len()]) {
+            let distance = &coverage.distance[start + columns.start..start + columns.end];
             let states = &mut states[columns];
             if self.footprints[map].is_none() {
                 states.fill(state::COPIED);
@@ -193,8 +194,8 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
 
     /// A direction turns with its chart; other values stay.
     #[inline]
-    fn turned(&self, map: &Map, mut value: [f32; C]) -> [f32; C] {
-        if let (Map::Affine { rotation, .. }, Space::Directed(_)) = (map, self.codec.space) {
+    fn turned(&self, map: &TexelMap, mut value: [f32; C]) -> [f32; C] {
+        if let (TexelMap::Affine { rotation, .. }, Space::Directed(_)) = (map, self.transfer.space) {
             turn_vector(rotation.to_cols_array().map(|v| v as f32), &mut value);
         }
         value
@@ -224,7 +225,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
                 place = [place[0] + dx, place[1] + dy];
             }
         }
-        if matches!(sampler.codec.space, Space::Directed(_)) && !turn.is_identity() {
+        if matches!(sampler.transfer.space, Space::Directed(_)) && !turn.is_identity() {
             out.chunks_exact_mut(C).for_each(|texel| turn.turn_samples(texel));
         }
     }

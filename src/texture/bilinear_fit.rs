@@ -12,11 +12,11 @@ pub(crate) const HALO: u32 = 2 * STEPS as u32;
 /// Relaxation: under 2, the fit cannot diverge, for the weights of a row sum to 1 at most.
 const RELAXATION: f32 = 1.5;
 
-/// Where the four points of a texel lie, from its centre, in texels.
-pub(crate) const POINTS: [[f64; 2]; 4] = [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
+/// Where the four quadrature points of a texel lie, from its centre, in texels.
+pub(crate) const QUADRATURE: [[f64; 2]; 4] = [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
 
-/// Texels of a band of rows.
-pub(crate) struct Field<const C: usize> {
+/// The fit of a band of rows.
+pub(crate) struct BilinearFit<const C: usize> {
     /// Texels of a row.
     pub(crate) width: usize,
     /// Values, row by row.
@@ -29,10 +29,10 @@ pub(crate) struct Field<const C: usize> {
     pub(crate) targets: Vec<[[f32; C]; 4]>,
 }
 
-impl<const C: usize> Field<C> {
+impl<const C: usize> BilinearFit<C> {
     /// `texels` texels in rows of `width`, none of them free.
     pub(crate) fn new(width: usize, texels: usize) -> Self {
-        Field {
+        BilinearFit {
             width,
             values: vec![[0.0; C]; texels],
             free: vec![false; texels],
@@ -41,25 +41,25 @@ impl<const C: usize> Field<C> {
         }
     }
 
-    /// Fits the free texels.
-    pub(crate) fn fit(&mut self) {
+    /// Moves the free texels towards the fit.
+    pub(crate) fn solve(&mut self) {
         let runs = self.runs();
         let mut differences = vec![[[0.0; C]; 4]; self.targets.len()];
-        let mut moved: Vec<[f32; C]> = Vec::with_capacity(runs.iter().map(ExactSizeIterator::len).sum());
+        let mut relaxed: Vec<[f32; C]> = Vec::with_capacity(runs.iter().map(ExactSizeIterator::len).sum());
         for _ in 0..STEPS {
             for i in runs.iter().cloned().flatten() {
                 let target = self.target_of[i] as usize;
                 let Some(points) = self.targets.get(target) else { continue };
-                let ways = self.ways(i);
+                let neighbours = self.neighbours(i);
                 for (k, point) in points.iter().enumerate() {
-                    let shown = self.shown(i, ways[k]);
+                    let shown = self.shown(i, neighbours[k]);
                     for c in 0..C {
                         differences[target][k][c] = point[c] - shown[c];
                     }
                 }
             }
-            moved.extend(runs.iter().cloned().flatten().map(|i| self.moved(i, &differences)));
-            for (i, value) in runs.iter().cloned().flatten().zip(moved.drain(..)) {
+            relaxed.extend(runs.iter().cloned().flatten().map(|i| self.relaxed(i, &differences)));
+            for (i, value) in runs.iter().cloned().flatten().zip(relaxed.drain(..)) {
                 self.values[i] = value;
             }
         }
@@ -83,7 +83,7 @@ impl<const C: usize> Field<C> {
 
     /// The texels next to `i` in the direction of each point: across, down, and both; edges repeat.
     #[inline]
-    fn ways(&self, i: usize) -> [[usize; 3]; 4] {
+    fn neighbours(&self, i: usize) -> [[usize; 3]; 4] {
         let x = i % self.width;
         let left = if x > 0 { i - 1 } else { i };
         let right = if x + 1 < self.width { i + 1 } else { i };
@@ -109,7 +109,7 @@ impl<const C: usize> Field<C> {
     }
 
     #[inline]
-    fn moved(&self, i: usize, differences: &[[[f32; C]; 4]]) -> [f32; C] {
+    fn relaxed(&self, i: usize, differences: &[[[f32; C]; 4]]) -> [f32; C] {
         let mut sum = [0.0; C];
         let mut total = 0.0;
         let mut add = |texel: usize, k: usize, weight: f32| {
@@ -118,8 +118,8 @@ impl<const C: usize> Field<C> {
                 total += weight;
             }
         };
-        let ways = self.ways(i);
-        for (k, [across, down, both]) in ways.into_iter().enumerate() {
+        let neighbours = self.neighbours(i);
+        for (k, [across, down, both]) in neighbours.into_iter().enumerate() {
             // In the quarter towards the texel's neighbours: its own point, and theirs on this side.
             add(i, k, 0.5625);
             if across != i {
@@ -135,7 +135,7 @@ impl<const C: usize> Field<C> {
         let mut value = self.values[i];
         if total > 0.0 {
             let (mut low, mut high) = (value, value);
-            for near in ways.into_iter().flatten() {
+            for near in neighbours.into_iter().flatten() {
                 let near = &self.values[near];
                 (0..C).for_each(|c| (low[c], high[c]) = (low[c].min(near[c]), high[c].max(near[c])));
             }
@@ -151,18 +151,24 @@ mod tests {
     use super::*;
 
     /// Texels 0..n of one row of some rows, all free, with targets from `shown` at the points.
-    fn field(width: usize, rows: usize, start: f32, shown: impl Fn(f64, f64) -> f32) -> Field<1> {
+    fn field(width: usize, rows: usize, start: f32, shown: impl Fn(f64, f64) -> f32) -> BilinearFit<1> {
         let n = width * rows;
         let targets = (0..n)
-            .map(|i| POINTS.map(|[dx, dy]| [shown((i % width) as f64 + 0.5 + dx, (i / width) as f64 + 0.5 + dy)]))
+            .map(|i| QUADRATURE.map(|[dx, dy]| [shown((i % width) as f64 + 0.5 + dx, (i / width) as f64 + 0.5 + dy)]))
             .collect();
-        Field { width, values: vec![[start]; n], free: vec![true; n], target_of: (0..n as u32).collect(), targets }
+        BilinearFit {
+            width,
+            values: vec![[start]; n],
+            free: vec![true; n],
+            target_of: (0..n as u32).collect(),
+            targets,
+        }
     }
 
     #[test]
     fn what_is_shown_already_stays() {
         let mut f = field(9, 7, 0.4, |_, _| 0.4);
-        f.fit();
+        f.solve();
         assert!(f.values.iter().all(|v| (v[0] - 0.4).abs() < 1e-6));
     }
 
@@ -174,12 +180,12 @@ mod tests {
             v[0] = shown((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5);
         }
         f.free[30] = false;
-        let error = |f: &Field<1>| -> f64 {
+        let error = |f: &BilinearFit<1>| -> f64 {
             let all = (0..f.values.len()).flat_map(|i| (0..4).map(move |k| (i, k)));
-            all.map(|(i, k)| f64::from(f.targets[i][k][0] - f.shown(i, f.ways(i)[k])[0]).powi(2)).sum()
+            all.map(|(i, k)| f64::from(f.targets[i][k][0] - f.shown(i, f.neighbours(i)[k])[0]).powi(2)).sum()
         };
         let (before, kept) = (error(&f), f.values[30]);
-        f.fit();
+        f.solve();
         assert!(error(&f) < 0.5 * before, "{} of {before}", error(&f));
         assert_eq!(f.values[30], kept);
     }
@@ -189,7 +195,7 @@ mod tests {
         let edge = |x: f64| if x < 6.3 { 0.2 } else { 0.7 };
         let mut f = field(12, 5, 0.0, |x, _| edge(x));
         f.values.iter_mut().enumerate().for_each(|(i, v)| v[0] = edge((i % 12) as f64 + 0.5));
-        f.fit();
+        f.solve();
         assert!(f.values.iter().all(|v| (0.2..=0.7).contains(&v[0])), "{:?}", &f.values[..12]);
     }
 }

@@ -1,19 +1,19 @@
-//! Which face owns which texel of a page: those whose centre it covers, then the ring that filtering reads around it.
+//! Coverage: which face owns which texel of a page. Those whose centre it covers, then, dilated, the ring that filtering reads around it.
 
 use glam::DVec2;
 
-use super::map::Maps;
+use super::texel_map::TexelMaps;
 use crate::atlas::{Atlas, FaceId, HalfEdge, Topology};
 use crate::context::Context;
 use crate::error::Result;
 
 /// No face.
-pub(crate) const NOBODY: u32 = u32::MAX;
+pub(crate) const NO_FACE: u32 = u32::MAX;
 /// Faces and edges between two looks at the context.
 const LOOK_EVERY: usize = 1024;
 
-/// What is drawn on one page.
-pub(crate) struct Page {
+/// What is rasterised on one page.
+pub(crate) struct PageRaster {
     pub(crate) width: u32,
     pub(crate) height: u32,
     /// Faces in order, with the rows whose centres they may cover.
@@ -30,21 +30,28 @@ struct Edge {
 }
 
 /// The owners of a band of rows.
-pub(crate) struct Band {
-    /// Owning face by texel, or [`NOBODY`].
+pub(crate) struct Coverage {
+    /// Owning face by texel, or [`NO_FACE`].
     pub(crate) owner: Vec<u32>,
     /// 0 where the face covers the texel's centre; above it is ring.
     pub(crate) distance: Vec<f32>,
 }
 
-impl Page {
+impl PageRaster {
     /// The faces of `page` that have a map, and the edges where their charts end: borders, and folds.
-    pub(crate) fn new(atlas: &Atlas, topology: &Topology, maps: &Maps, page: u16, size: [u32; 2], bleed: u32) -> Self {
+    pub(crate) fn new(
+        atlas: &Atlas,
+        topology: &Topology,
+        maps: &TexelMaps,
+        page: u16,
+        size: [u32; 2],
+        bleed: u32,
+    ) -> Self {
         // The bilinear footprint is always part of the ring.
         let bleed = f64::from(bleed).max(1.5);
         let mut faces = Vec::new();
         let mut edges = Vec::new();
-        let here = |f: usize| atlas.page[f] == page && maps.of_face[f] != Maps::NONE;
+        let here = |f: usize| atlas.page[f] == page && maps.of_face[f] != TexelMaps::NONE;
         // On which side of its edge `k` a face lies: turning senses say nothing where faces are wound inconsistently.
         let side = |f: usize, k: usize, [a, b]: [DVec2; 2]| {
             let area = (b - a).perp_dot(maps.corners[f][(k + 2) % 3] - a);
@@ -54,7 +61,7 @@ impl Page {
             let [a, b, c] = maps.corners[f];
             let low = a.y.min(b.y).min(c.y);
             let high = a.y.max(b.y).max(c.y);
-            faces.push((f as u32, rows(low, high, size[1])));
+            faces.push((f as u32, centres_within(low, high, size[1])));
             for k in 0..3 {
                 let ends = [maps.corners[f][k], maps.corners[f][(k + 1) % 3]];
                 let inside = topology.uv_twin(HalfEdge::of(FaceId::new(f), k)).is_some_and(|twin| {
@@ -63,20 +70,20 @@ impl Page {
                 });
                 if !inside {
                     let (low, high) = (ends[0].y.min(ends[1].y), ends[0].y.max(ends[1].y));
-                    let rows = rows(low - bleed, high + bleed, size[1]);
+                    let rows = centres_within(low - bleed, high + bleed, size[1]);
                     edges.push(Edge { ends, face: f as u32, rows });
                 }
             }
         }
-        Page { width: size[0], height: size[1], faces, edges, bleed }
+        PageRaster { width: size[0], height: size[1], faces, edges, bleed }
     }
 
     /// The owners of the rows `top..top + count`.
-    pub(crate) fn band(&self, top: u32, count: u32, context: &Context, maps: &Maps) -> Result<Band> {
+    pub(crate) fn rows(&self, top: u32, count: u32, context: &Context, maps: &TexelMaps) -> Result<Coverage> {
         let bottom = (top + count).min(self.height);
         let width = self.width as usize;
         let texels = width * (bottom - top) as usize;
-        let mut band = Band { owner: vec![NOBODY; texels], distance: vec![f32::INFINITY; texels] };
+        let mut coverage = Coverage { owner: vec![NO_FACE; texels], distance: vec![f32::INFINITY; texels] };
         let mut free = vec![width; (bottom - top) as usize];
         for (i, (face, rows)) in self.faces.iter().enumerate() {
             if i % LOOK_EVERY == 0 {
@@ -86,8 +93,9 @@ impl Page {
                 let row = (y - top) as usize;
                 if free[row] > 0 {
                     let line = row * width..(row + 1) * width;
-                    let owner = &mut band.owner[line.clone()];
-                    free[row] -= cover_row(&maps.corners[*face as usize], *face, y, owner, &mut band.distance[line]);
+                    let owner = &mut coverage.owner[line.clone()];
+                    free[row] -=
+                        rasterize_row(&maps.corners[*face as usize], *face, y, owner, &mut coverage.distance[line]);
                 }
             }
         }
@@ -99,12 +107,12 @@ impl Page {
                 let row = (y - top) as usize;
                 if free[row] > 0 {
                     let line = row * width..(row + 1) * width;
-                    let owner = &mut band.owner[line.clone()];
-                    self.ring_row(edge, y, owner, &mut band.distance[line]);
+                    let owner = &mut coverage.owner[line.clone()];
+                    self.ring_row(edge, y, owner, &mut coverage.distance[line]);
                 }
             }
         }
-        Ok(band)
+        Ok(coverage)
     }
 
     /// One row of the ring about an edge: the nearest face wins, the lowest of equals; but first of all those whose
@@ -123,7 +131,7 @@ impl Page {
             }
         }
         let (s, t) = (a.x + from * d.x, a.x + to * d.x);
-        let [low, high] = rows(s.min(t) - self.bleed, s.max(t) + self.bleed, self.width);
+        let [low, high] = centres_within(s.min(t) - self.bleed, s.max(t) + self.bleed, self.width);
         let inverse = if d.length_squared() > 0.0 { d.length_squared().recip() } else { 0.0 };
         for x in low as usize..high as usize {
             if distance[x] == 0.0 {
@@ -148,7 +156,7 @@ impl Page {
 }
 
 /// The texels whose centres lie in `low..high`, within `0..size`.
-fn rows(low: f64, high: f64, size: u32) -> [u32; 2] {
+fn centres_within(low: f64, high: f64, size: u32) -> [u32; 2] {
     let clamp = |v: f64| (v - 0.5).ceil().clamp(0.0, f64::from(size)) as u32;
     let first = clamp(low);
     [first, clamp(high + 1e-9).max(first)]
@@ -158,7 +166,7 @@ fn rows(low: f64, high: f64, size: u32) -> [u32; 2] {
 ///
 /// Crossings are computed from the lower to the upper end of an edge, so that both its faces find the same ones; a centre on
 /// an edge belongs to the face on its right (below, for a level one): the top-left rule.
-fn cover_row(corners: &[DVec2; 3], face: u32, y: u32, owner: &mut [u32], distance: &mut [f32]) -> usize {
+fn rasterize_row(corners: &[DVec2; 3], face: u32, y: u32, owner: &mut [u32], distance: &mut [f32]) -> usize {
     let centre = f64::from(y) + 0.5;
     let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
     for k in 0..3 {
@@ -179,7 +187,7 @@ fn cover_row(corners: &[DVec2; 3], face: u32, y: u32, owner: &mut [u32], distanc
     let (from, to) = (column(left), column(right));
     let mut covered = 0;
     for x in from..to {
-        if owner[x] == NOBODY {
+        if owner[x] == NO_FACE {
             owner[x] = face;
             distance[x] = 0.0;
             covered += 1;
