@@ -5,4 +5,4 @@
 pub(crate) mod arap;
 pub(crate) mod cholesky;
 pub(crate) mod energy;
-pub(crate) mod untangle;
+pub(crate) mod repair;

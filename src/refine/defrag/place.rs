@@ -5,8 +5,8 @@
 
 use glam::DVec2;
 
-use super::mesh::{Mesh, mirror};
-use super::room::Room;
+use super::mesh::{MergeChart, MergeMesh, area, mirror};
+use super::sheet_limit::SheetLimit;
 use crate::atlas::Atlas;
 use crate::atlas::bvh::Bounds;
 use crate::atlas::rigid::Rigid;
@@ -19,7 +19,7 @@ const WHOLE: f64 = 5e-4;
 const MOST_GROWTH: f64 = 1.25;
 
 /// The atlas, with charts ready for packing.
-pub(super) struct Placed {
+pub(super) struct PlacedCharts {
     /// Charts may overlap: pack it before use.
     pub atlas: Atlas,
     /// By chart of `atlas` (numbered by smallest face): whether its texels are resampled anyway.
@@ -31,145 +31,151 @@ pub(super) struct Placed {
 /// Puts each chart where the part of its input that was moved only, and is largest in 3D, lies as it did; not where that is under
 /// `least` of the chart's 3D area. Without `whole_texels` nothing is.
 pub(super) fn place(
-    mesh: Mesh,
+    mesh: &MergeMesh,
     before: &Atlas,
     least: f64,
     sheet_info: &SheetInfo,
-    room: Option<Room>,
+    limit: Option<SheetLimit>,
     whole_texels: bool,
-) -> Placed {
+) -> PlacedCharts {
     let unit = f64::from(sheet_info.unit);
-    let mut motion = vec![Rigid::IDENTITY; mesh.charts.len()];
-    let mut exact = vec![false; mesh.corners.len()];
-    let mut free = vec![true; mesh.charts.len()];
+    let charts = mesh.charts();
+    let mut motion = vec![Rigid::IDENTITY; charts.len()];
+    let mut exact = vec![false; mesh.faces().len()];
+    let mut free = vec![true; charts.len()];
     // Charts most of which was mirrored are mirrored back.
-    let mut mirrored = vec![false; mesh.charts.len()];
+    let mut mirrored = vec![false; charts.len()];
     let mut preserved = 0.0;
     let mut total = 0.0;
-    for (c, chart) in mesh.charts.iter().enumerate().filter(|(_, c)| !c.faces.is_empty()) {
+    for (c, chart) in charts.iter().enumerate().filter(|(_, c)| !c.faces.is_empty()) {
         let area: f64 = chart.faces.iter().map(|&f| mesh.area[f as usize]).sum();
         total += area;
-        mirrored[c] = mesh.mirrored[chart.main as usize];
+        mirrored[c] = mesh.mirrored[chart.main_part as usize];
         if !whole_texels {
             continue;
         }
-        // Area that was only moved, by chart of the input.
-        let mut moved: Vec<(u32, f64, Vec<u32>)> = Vec::new();
-        let mut faces: Vec<(u32, u32)> =
-            chart.faces.iter().filter(|&&f| !mesh.deformed[f as usize]).map(|&f| (mesh.home[f as usize], f)).collect();
-        faces.sort_unstable();
-        for own in faces.chunk_by(|a, b| a.0 == b.0) {
-            let home = own[0].0;
-            let there: Vec<u32> = own.iter().map(|o| o.1).filter(|&f| is_moved(&mesh, f)).collect();
-            let area = there.iter().map(|&f| mesh.area[f as usize]).sum();
-            moved.push((home, area, there));
-        }
-        // Groups by motion, up to whole texels and quarter turns: the first of a group stands for it.
-        let mut groups: Vec<(Rigid, f64, Vec<usize>)> = Vec::new();
-        for (i, (home, area, there)) in moved.iter().enumerate() {
-            let own = mesh.motion[*home as usize];
-            let Some(&face) = there.first() else { continue };
-            let sample = mesh.rest[face as usize];
-            let alike = |g: &&mut (Rigid, f64, Vec<usize>)| {
-                mesh.mirrored[moved[g.2[0]].0 as usize] == mesh.mirrored[*home as usize]
-                    && on_grid(&g.0, &own, &sample, unit)
-            };
-            match groups.iter_mut().find(alike) {
-                Some(group) => {
-                    group.1 += area;
-                    group.2.push(i);
-                }
-                None => groups.push((own, *area, vec![i])),
-            }
-        }
-        let Some(best) = groups.into_iter().reduce(|a, b| if b.1 > a.1 { b } else { a }) else { continue };
-        if best.1 < least * area {
+        let Some(part) = largest_moved_part(mesh, chart, unit) else { continue };
+        if part.area < least * area {
             continue;
         }
-        preserved += best.1;
-        mirrored[c] = mesh.mirrored[moved[best.2[0]].0 as usize];
+        preserved += part.area;
+        mirrored[c] = part.mirrored;
         free[c] = false;
-        motion[c] = best.0.inverse();
-        for (_, _, there) in best.2.into_iter().map(|i| &moved[i]) {
-            there.iter().for_each(|&f| exact[f as usize] = true);
-        }
+        motion[c] = part.motion.inverse();
+        part.faces.iter().for_each(|&f| exact[f as usize] = true);
     }
-    // Vertices of faces that keep their texels lie exactly where they did, by whole texels and quarter turns.
-    let mut at: Vec<Option<DVec2>> = vec![None; mesh.uv.len()];
-    for f in (0..mesh.corners.len()).filter(|&f| exact[f]) {
-        let own = motion[mesh.chart_of[f] as usize].after(&mesh.motion[mesh.home[f] as usize]);
-        let whole = whole(&own, unit);
-        for (u, p) in mesh.corners[f].iter().zip(mesh.rest[f]) {
-            at[*u as usize].get_or_insert(whole.apply(p));
-        }
-    }
-    for (u, at) in at.iter_mut().enumerate() {
-        if at.is_none()
-            && let Some(&f) = mesh.star[u].first()
-        {
-            *at = Some(motion[mesh.chart_of[f as usize] as usize].apply(mesh.uv[u]));
-        }
-    }
+    let mut at = positions(mesh, &motion, &exact, unit);
     // Charts that were not touched, and those that are not finite, stay bit for bit.
-    let touched: Vec<bool> = mesh.charts.iter().map(|c| c.parts.len() > 1 || !c.changes.is_empty()).collect();
+    let touched: Vec<bool> = charts.iter().map(|c| c.parts.len() > 1 || !c.changes.is_empty()).collect();
     let free: Vec<bool> = free.iter().zip(&touched).map(|(free, touched)| *free && *touched).collect();
-    enlarge(&mesh, &free, room, &mut at);
-    let mut seen = vec![false; mesh.charts.len()];
+    enlarge(mesh, &free, limit, &mut at);
+    let mut seen = vec![false; charts.len()];
     let mut in_order = Vec::new();
-    for &c in &mesh.chart_of {
-        if !std::mem::replace(&mut seen[c as usize], true) {
-            in_order.push(free[c as usize]);
+    for c in mesh.faces().map(|f| mesh.chart_of(f) as usize) {
+        if !std::mem::replace(&mut seen[c], true) {
+            in_order.push(free[c]);
         }
     }
-    let (corners, chart_of) = (mesh.corners.clone(), mesh.chart_of.clone());
-    let atlas = mesh.into_atlas(before, |f, own| {
-        let c = chart_of[f as usize] as usize;
-        let now =
-            if touched[c] { [0, 1, 2].map(|k| at[corners[f as usize][k] as usize].unwrap_or(own[k])) } else { own };
+    let atlas = mesh.to_atlas(before, |f| {
+        let (c, own) = (mesh.chart_of(f) as usize, mesh.triangle(f));
+        let corners = mesh.corners(f);
+        let now = if touched[c] { [0, 1, 2].map(|k| at[corners[k] as usize].unwrap_or(own[k])) } else { own };
         if mirrored[c] { now.map(mirror) } else { now }
     });
-    Placed { atlas, free: in_order, preserved: preserved / f64::max(total, 1e-300) }
+    PlacedCharts { atlas, free: in_order, preserved: preserved / f64::max(total, 1e-300) }
 }
 
-/// What is resampled anyway gets as many texels as it had: seams that were pulled together made it smaller. It stays within `room`. `at`
-/// is by UV vertex.
-fn enlarge(mesh: &Mesh, free: &[bool], room: Option<Room>, at: &mut [Option<DVec2>]) {
+/// Faces of a chart that were only moved, all alike up to whole texels and quarter turns.
+struct MovedPart {
+    motion: Rigid,
+    mirrored: bool,
+    /// In 3D.
+    area: f64,
+    faces: Vec<u32>,
+}
+
+/// The largest such part of a chart: faces are grouped by their chart of the input, and those by motion.
+fn largest_moved_part(mesh: &MergeMesh, chart: &MergeChart, unit: f64) -> Option<MovedPart> {
+    let undeformed = chart.faces.iter().filter(|&&f| !mesh.deformed[f as usize]);
+    let mut faces: Vec<(u32, u32)> = undeformed.map(|&f| (mesh.source[f as usize], f)).collect();
+    faces.sort_unstable();
+    // The first of a part stands for it.
+    let mut parts: Vec<MovedPart> = Vec::new();
+    for own in faces.chunk_by(|a, b| a.0 == b.0) {
+        let source = own[0].0 as usize;
+        let (motion, mirrored) = (mesh.motion[source], mesh.mirrored[source]);
+        let faces: Vec<u32> = own.iter().map(|o| o.1).filter(|&f| is_moved(mesh, f)).collect();
+        let area: f64 = faces.iter().map(|&f| mesh.area[f as usize]).sum();
+        let Some(&face) = faces.first() else { continue };
+        let sample = &mesh.rest[face as usize];
+        let alike = |part: &&mut MovedPart| part.mirrored == mirrored && on_grid(&part.motion, &motion, sample, unit);
+        match parts.iter_mut().find(alike) {
+            Some(part) => {
+                part.area += area;
+                part.faces.extend(faces);
+            }
+            None => parts.push(MovedPart { motion, mirrored, area, faces }),
+        }
+    }
+    parts.into_iter().reduce(|a, b| if b.area > a.area { b } else { a })
+}
+
+/// By UV vertex: where it lies once its chart moved by `motion`. Vertices of faces that keep their texels lie exactly where they did, by
+/// whole texels and quarter turns.
+fn positions(mesh: &MergeMesh, motion: &[Rigid], exact: &[bool], unit: f64) -> Vec<Option<DVec2>> {
+    let mut at: Vec<Option<DVec2>> = vec![None; mesh.vertex_count()];
+    for f in mesh.faces().filter(|&f| exact[f as usize]) {
+        let own = motion[mesh.chart_of(f) as usize].after(&mesh.motion[mesh.source[f as usize] as usize]);
+        let whole = whole(&own, unit);
+        for (u, p) in mesh.corners(f).into_iter().zip(mesh.rest[f as usize]) {
+            at[u as usize].get_or_insert(whole.apply(p));
+        }
+    }
+    for (u, at) in (0..).zip(&mut at) {
+        if at.is_none()
+            && let Some(f) = mesh.star(u).next()
+        {
+            *at = Some(motion[mesh.chart_of(f) as usize].apply(mesh.uv(u)));
+        }
+    }
+    at
+}
+
+/// What is resampled anyway gets as many texels as it had: seams that were pulled together made it smaller. It stays within the limit.
+/// `at` is by UV vertex.
+fn enlarge(mesh: &MergeMesh, free: &[bool], limit: Option<SheetLimit>, at: &mut [Option<DVec2>]) {
+    let charts = mesh.charts();
     let mut scale: Vec<f64> =
-        mesh.charts.iter().zip(free).map(|(c, free)| if *free { growth(mesh, &c.faces) } else { 1.0 }).collect();
+        charts.iter().zip(free).map(|(c, free)| if *free { growth(mesh, &c.faces) } else { 1.0 }).collect();
     // Nor is the usual texel coarser: the faces that lost most are not all in charts that grew.
-    let density = |f: usize, t: [DVec2; 3]| area(t) / mesh.area[f];
-    let scaled = |f: usize, u: u32| at[u as usize].unwrap_or(mesh.uv[u as usize]) * scale[mesh.chart_of[f] as usize];
-    let faces = 0..mesh.corners.len();
-    let before = median(faces.clone().map(|f| density(f, mesh.rest[f])).collect());
-    let now = median(faces.map(|f| density(f, mesh.corners[f].map(|u| scaled(f, u)))).collect());
+    let density = |f: u32, t: &[DVec2; 3]| area(t) / mesh.area[f as usize];
+    let scaled = |f: u32, u: u32| at[u as usize].unwrap_or(mesh.uv(u)) * scale[mesh.chart_of(f) as usize];
+    let before = median(mesh.faces().map(|f| density(f, &mesh.rest[f as usize])).collect());
+    let now = median(mesh.faces().map(|f| density(f, &mesh.corners(f).map(|u| scaled(f, u)))).collect());
     let lost = (before / now).sqrt();
     if lost > 1.0 && lost < MOST_GROWTH {
         scale.iter_mut().zip(free).filter(|(_, free)| **free).for_each(|(s, _)| *s *= lost);
     }
-    if let Some(room) = room {
-        for (chart, scale) in mesh.charts.iter().zip(&mut scale).filter(|(_, s)| **s > 1.0) {
-            let lies = chart.faces.iter().flat_map(|&f| mesh.corners[f as usize]).filter_map(|u| at[u as usize]);
+    if let Some(limit) = limit {
+        for (chart, scale) in charts.iter().zip(&mut scale).filter(|(_, s)| **s > 1.0) {
+            let lies = chart.faces.iter().flat_map(|&f| mesh.corners(f)).filter_map(|u| at[u as usize]);
             let bounds = lies.map(|p| Bounds::of(&[p])).fold(Bounds::EMPTY, Bounds::union);
-            *scale = scale.min(room.growth(bounds.size()).max(1.0));
+            *scale = scale.min(limit.growth(bounds.size()).max(1.0));
         }
     }
-    for (at, star) in at.iter_mut().zip(&mesh.star) {
-        if let (Some(at), Some(&f)) = (at, star.first()) {
-            *at *= scale[mesh.chart_of[f as usize] as usize];
+    for (u, at) in (0..).zip(at) {
+        if let (Some(at), Some(f)) = (at, mesh.star(u).next()) {
+            *at *= scale[mesh.chart_of(f) as usize];
         }
     }
 }
 
 /// By how much the faces must grow in both directions to cover as many texels as in the input; never less than one.
-fn growth(mesh: &Mesh, faces: &[u32]) -> f64 {
-    let before: f64 = faces.iter().map(|&f| area(mesh.rest[f as usize])).sum();
-    let now: f64 = faces.iter().map(|&f| area(mesh.triangle(f))).sum();
+fn growth(mesh: &MergeMesh, faces: &[u32]) -> f64 {
+    let before: f64 = faces.iter().map(|&f| area(&mesh.rest[f as usize])).sum();
+    let now: f64 = faces.iter().map(|&f| area(&mesh.triangle(f))).sum();
     let grown = (before / now).sqrt();
     if grown.is_finite() { grown.clamp(1.0, MOST_GROWTH) } else { 1.0 }
-}
-
-fn area(t: [DVec2; 3]) -> f64 {
-    0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()
 }
 
 /// The median of those that are finite; NaN where none is.
@@ -180,8 +186,8 @@ fn median(mut values: Vec<f64>) -> f64 {
 }
 
 /// Whether a face lies where its chart of the input was moved.
-fn is_moved(mesh: &Mesh, face: u32) -> bool {
-    let motion = &mesh.motion[mesh.home[face as usize] as usize];
+fn is_moved(mesh: &MergeMesh, face: u32) -> bool {
+    let motion = &mesh.motion[mesh.source[face as usize] as usize];
     mesh.triangle(face).iter().zip(&mesh.rest[face as usize]).all(|(p, q)| motion.apply(*q).distance(*p) <= WHOLE)
 }
 

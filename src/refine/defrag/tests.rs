@@ -180,12 +180,9 @@ fn broken_input_is_met() {
         atlas.surface.triangles[f].swap(0, 1);
     }
     let charts_before = Charts::new(&Topology::new(&atlas));
-    let open = vec![true; charts_before.len()];
-    let options = options();
-    let (mesh, room, _) =
-        merge_charts(&atlas, &charts_before, &open, &sheet_info(), &Defrag::default(), &options, &Context::silent())
-            .expect("it ends");
-    let merged = place::place(mesh, &atlas, 0.05, &sheet_info(), room, true).atlas;
+    let mut mesh = MergeMesh::new(&atlas, &charts_before, &vec![true; charts_before.len()], true);
+    merge_charts(&mut mesh, None, &sheet_info(), &Defrag::default(), &options(), &Context::silent()).expect("it ends");
+    let merged = place::place(&mesh, &atlas, 0.05, &sheet_info(), None, true).atlas;
     assert!(charts(&merged) < charts_before.len());
     assert_eq!(merged.face_count(), atlas.face_count());
 }

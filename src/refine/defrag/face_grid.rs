@@ -14,22 +14,22 @@ use crate::atlas::bvh::Bounds;
 const LEVELS: usize = 32;
 
 /// Maps of small whole numbers.
-type MixedMap<K, V> = HashMap<K, V, BuildHasherDefault<Mix>>;
+type IntegerMap<K, V> = HashMap<K, V, BuildHasherDefault<IntegerHasher>>;
 
 /// The grid of one chart.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Grid {
+pub(super) struct FaceGrid {
     /// Side of the smallest cells.
     cell: f64,
-    cells: MixedMap<(u32, i32, i32), Vec<(u32, Bounds)>>,
+    cells: IntegerMap<(u32, i32, i32), Vec<(u32, Bounds)>>,
     /// Faces by level.
     count: [u32; LEVELS],
 }
 
-impl Grid {
+impl FaceGrid {
     /// An empty grid; `cell` is the size of small faces.
     pub(super) fn new(cell: f64) -> Self {
-        Grid { cell, ..Grid::default() }
+        FaceGrid { cell, ..FaceGrid::default() }
     }
 
     /// The cell of a face with these bounds. Those that are not finite or far off all meet in a few cells.
@@ -101,9 +101,9 @@ fn cell(at: f64) -> i32 {
 
 /// A hasher for small whole numbers; nothing depends on the order in which the map would be walked.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Mix(u64);
+pub(super) struct IntegerHasher(u64);
 
-impl Hasher for Mix {
+impl Hasher for IntegerHasher {
     fn finish(&self) -> u64 {
         self.0
     }
@@ -133,7 +133,7 @@ mod tests {
                 Bounds { min: p, max: p + DVec2::new(size, rng.unit() * size) }
             })
             .collect();
-        let mut grid = Grid::new(0.5);
+        let mut grid = FaceGrid::new(0.5);
         boxes.iter().enumerate().for_each(|(i, b)| grid.add(i as u32, b));
         for (i, b) in boxes.iter().enumerate().step_by(3) {
             grid.remove(i as u32, b);

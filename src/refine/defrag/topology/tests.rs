@@ -23,21 +23,21 @@ fn squares(nx: usize, ny: usize) -> Atlas {
     atlas
 }
 
-fn mesh(atlas: &Atlas) -> Mesh {
+fn mesh(atlas: &Atlas) -> MergeMesh {
     let charts = Charts::new(&Topology::new(atlas));
-    Mesh::new(atlas, &charts, &vec![true; charts.len()], false)
+    MergeMesh::new(atlas, &charts, &vec![true; charts.len()], false)
 }
 
 /// Pairs of linked edges between two charts.
-fn between(mesh: &Mesh, a: u32, b: u32) -> Vec<(u32, u32)> {
-    mesh.links()[&(a, b)].iter().map(|&h| super::super::operation::sides(mesh, h, a)).collect()
+fn between(mesh: &MergeMesh, a: u32, b: u32) -> Vec<(u32, u32)> {
+    mesh.linked_charts()[&(a, b)].iter().filter_map(|&h| mesh.linked_pair(h, a)).collect()
 }
 
 #[test]
 fn one_seam_is_dissolved() {
     let mesh = mesh(&squares(2, 1));
-    assert_eq!(mesh.charts.len(), 2);
-    assert!(Loops::default().stays_flat(&mesh, &between(&mesh, 0, 1), false));
+    assert_eq!(mesh.charts().len(), 2);
+    assert!(BoundaryLoops::default().stays_planar(&mesh, &between(&mesh, 0, 1), false));
 }
 
 #[test]
@@ -57,9 +57,9 @@ fn every_seam_of_a_band_may_be_dissolved() {
         *t = t.map(|v| crate::atlas::VertexId::new(twin[v.index()]));
     }
     let mesh = mesh(&atlas);
-    assert_eq!(mesh.links().len(), 4, "each square has two neighbours");
-    for &(a, b) in mesh.links().keys() {
-        assert!(Loops::default().stays_flat(&mesh, &between(&mesh, a, b), false));
+    assert_eq!(mesh.linked_charts().len(), 4, "each square has two neighbours");
+    for &(a, b) in mesh.linked_charts().keys() {
+        assert!(BoundaryLoops::default().stays_planar(&mesh, &between(&mesh, a, b), false));
     }
 }
 
@@ -73,7 +73,7 @@ fn all_seams_of_a_closed_surface_may_not_be_dissolved_at_once() {
     let mesh = mesh(&atlas);
     let pairs = between(&mesh, 0, 1);
     assert_eq!(pairs.len(), 3);
-    assert!(!Loops::default().stays_flat(&mesh, &pairs, false), "nothing of the border would be left");
-    assert!(Loops::default().stays_flat(&mesh, &pairs[..1], false));
-    assert!(Loops::default().stays_flat(&mesh, &pairs[..2], false), "neighbours: a cone");
+    assert!(!BoundaryLoops::default().stays_planar(&mesh, &pairs, false), "nothing of the border would be left");
+    assert!(BoundaryLoops::default().stays_planar(&mesh, &pairs[..1], false));
+    assert!(BoundaryLoops::default().stays_planar(&mesh, &pairs[..2], false), "neighbours: a cone");
 }

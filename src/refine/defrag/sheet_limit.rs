@@ -3,27 +3,27 @@
 
 use glam::DVec2;
 
-use super::mesh::Mesh;
+use super::mesh::MergeMesh;
 use super::operation::Operation;
 use crate::atlas::bvh::Bounds;
 
 /// Part of a sheet's side that is kept for what is not known ahead: deformation moves borders.
 const SPARE: f64 = 0.01;
 
-/// The room of a chart on a sheet.
+/// The largest size of a chart.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Room {
-    /// Its sides in texels, the longer first.
+pub(super) struct SheetLimit {
+    /// Sides in texels, the longer first.
     sides: [f64; 2],
 }
 
-impl Room {
-    /// `sides` are those of the largest chart that has a sheet to lie on. No room counts where a chart of the input is larger: all
+impl SheetLimit {
+    /// `sides` are those of the largest chart that has a sheet to lie on. There is no limit where a chart of the input is larger: all
     /// are scaled down then.
-    pub(super) fn new(mesh: &Mesh, sides: [f64; 2]) -> Option<Self> {
-        let fits = |b: &Bounds| Room { sides }.growth(b.size()) >= 1.0;
-        let fit = mesh.charts.iter().all(|c| !c.bounds.size().is_finite() || fits(&c.bounds));
-        fit.then(|| Room { sides: sides.map(|s| s * (1.0 - SPARE)) })
+    pub(super) fn new(mesh: &MergeMesh, sides: [f64; 2]) -> Option<Self> {
+        let fits = |b: &Bounds| SheetLimit { sides }.growth(b.size()) >= 1.0;
+        let fit = mesh.charts().iter().all(|c| !c.bounds.size().is_finite() || fits(&c.bounds));
+        fit.then(|| SheetLimit { sides: sides.map(|s| s * (1.0 - SPARE)) })
     }
 
     /// By how much a chart of this size may grow in both directions; below one, it does not fit. By a quarter turn it may.
@@ -32,20 +32,20 @@ impl Room {
     }
 
     /// Whether the two charts of the operation fit once they are one, turned as they will be placed.
-    pub(super) fn holds(&self, mesh: &Mesh, op: &Operation) -> bool {
-        if op.kept == op.moved {
+    pub(super) fn allows(&self, mesh: &MergeMesh, op: &Operation) -> bool {
+        if op.is_within() {
             return true;
         }
-        let (kept, moved) = (&mesh.charts[op.kept as usize], &mesh.charts[op.moved as usize]);
+        let (kept, moved) = (mesh.chart(op.kept), mesh.chart(op.moved));
         let Bounds { min, max } = moved.bounds;
         let corners = [min, DVec2::new(max.x, min.y), max, DVec2::new(min.x, max.y)].map(|p| op.motion.apply(p));
-        let about = kept.bounds.union(Bounds::of(&corners));
-        if about.size().length() <= self.sides[1] {
+        let both = kept.bounds.union(Bounds::of(&corners));
+        if both.size().length() <= self.sides[1] {
             return true;
         }
-        let turn = match mesh.main_after(op) {
-            (main, true) => op.motion.after(&mesh.motion[main as usize]),
-            (main, false) => mesh.motion[main as usize],
+        let turn = match mesh.main_part_after(op) {
+            (part, true) => op.motion.after(&mesh.motion[part as usize]),
+            (part, false) => mesh.motion[part as usize],
         }
         .inverse();
         let exact = [(kept, turn), (moved, turn.after(&op.motion))]

@@ -1,8 +1,8 @@
-//! Turning back the few triangles of a patch that lie the wrong way round.
+//! Repairing the few inversions of a patch.
 
 use glam::DVec2;
 
-/// Sweeps over the vertices of triangles that are turned over.
+/// Sweeps over the vertices of inverted triangles.
 const SWEEPS: usize = 16;
 /// Sweeps after which there should be fewer of them than ever: what succeeds does so soon.
 const PATIENCE: usize = 6;
@@ -12,9 +12,9 @@ const PROJECTIONS: usize = 24;
 const OVER: f64 = 1.3;
 
 /// Moves free vertices of triangles whose signed area is under `least` times `areas` until there are none, each to a nearby point from
-/// which all triangles about it are seen the right way round: by relaxation over their half planes (Agmon 1954), vertex by vertex.
+/// which all triangles incident to it are seen the right way round: by relaxation over their half planes (Agmon 1954), vertex by vertex.
 /// Triangles with an area of zero or less in `areas` are left as they are. Gives whether none is left.
-pub(crate) fn untangle(
+pub(crate) fn repair_inversions(
     triangles: &[[u32; 3]],
     areas: &[f64],
     free: &[bool],
@@ -25,8 +25,8 @@ pub(crate) fn untangle(
         let [a, b, c] = t.map(|v| positions[v as usize]);
         if area > 0.0 { least * area - 0.5 * (b - a).perp_dot(c - a) } else { f64::NEG_INFINITY }
     };
-    let about = about(triangles, free.len());
-    let about = |v: u32| &about.1[about.0[v as usize]..about.0[v as usize + 1]];
+    let stars = incident_triangles(triangles, free.len());
+    let star = |v: u32| &stars.1[stars.0[v as usize]..stars.0[v as usize + 1]];
     let mut wrong: Vec<u32> = (0..triangles.len() as u32).collect();
     // The fewest so far, and when that was.
     let mut fewest = (usize::MAX, 0);
@@ -46,7 +46,7 @@ pub(crate) fn untangle(
         vertices.dedup();
         let mut moved = false;
         for &v in &vertices {
-            let own = about(v);
+            let own = star(v);
             let start = positions[v as usize];
             let worst = |positions: &[DVec2]| {
                 own.iter()
@@ -86,8 +86,8 @@ pub(crate) fn untangle(
     wrong.iter().all(|&i| deficit(&triangles[i as usize], areas[i as usize], positions) <= 0.0)
 }
 
-/// The triangles about each vertex: where they start in the list, and the list.
-fn about(triangles: &[[u32; 3]], vertices: usize) -> (Vec<usize>, Vec<u32>) {
+/// The triangles incident to each vertex: where they start in the list, and the list.
+fn incident_triangles(triangles: &[[u32; 3]], vertices: usize) -> (Vec<usize>, Vec<u32>) {
     let mut starts = vec![0; vertices + 1];
     for v in triangles.iter().flatten() {
         starts[*v as usize + 1] += 1;
@@ -136,7 +136,7 @@ mod tests {
                 triangles.iter().filter(|t| area(t) <= 0.0).count()
             };
             tangled += usize::from(wrong(&at) > 0);
-            assert!(untangle(&triangles, &areas, &free, 0.1, &mut at));
+            assert!(repair_inversions(&triangles, &areas, &free, 0.1, &mut at));
             assert_eq!(wrong(&at), 0);
             assert!(at.iter().zip(&start).zip(&free).all(|((a, s), free)| *free || a == s));
         }
@@ -147,6 +147,6 @@ mod tests {
     fn what_cannot_be_turned_back_is_told() {
         // A triangle that is held the wrong way round.
         let mut at = vec![DVec2::ZERO, DVec2::Y, DVec2::X];
-        assert!(!untangle(&[[0, 1, 2]], &[0.5], &[false; 3], 0.1, &mut at));
+        assert!(!repair_inversions(&[[0, 1, 2]], &[0.5], &[false; 3], 0.1, &mut at));
     }
 }

@@ -1,0 +1,47 @@
+//! Charts that share texels on purpose are left alone.
+
+use crate::atlas::{Atlas, Charts, OverlapMode, clusters};
+use crate::context::Context;
+use crate::error::Warning;
+use crate::refine::options::Options;
+use crate::refine::stage::SheetInfo;
+
+/// Which charts may be merged.
+pub(super) struct Mergeable {
+    pub charts: Vec<bool>,
+    /// Part of the UV area that is not.
+    pub held_back: f64,
+}
+
+impl Mergeable {
+    /// Those that share no texels with others; a warning tells of the rest, where that is not what the user asked for.
+    pub(super) fn new(
+        atlas: &Atlas,
+        charts: &Charts,
+        sheet_info: &SheetInfo,
+        options: &Options,
+        context: &Context,
+    ) -> Self {
+        let together = clusters(atlas, charts, options.atlas.overlaps);
+        let alone: Vec<bool> =
+            charts.ids().map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1).collect();
+        let (mut held, mut all) = (0.0, 0.0);
+        for face in atlas.faces() {
+            let area = atlas.uv_area(face).abs();
+            all += area;
+            if !alone[charts.of_face[face.index()].index()] {
+                held += area;
+            }
+        }
+        let held_back = held / f64::max(all, 1e-300);
+        if held_back > 0.0 && options.atlas.overlaps == OverlapMode::Stack {
+            let text = format!(
+                "{:.1} % of the area of atlas {} is not merged: charts that share texels",
+                100.0 * held_back,
+                sheet_info.id
+            );
+            context.warn(Warning::new("held_back", text));
+        }
+        Mergeable { charts: alone, held_back }
+    }
+}
