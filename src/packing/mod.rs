@@ -95,8 +95,6 @@ pub struct Request<'a> {
     pub starts: &'a [Start],
     /// Multiplies the budget; 1 is the default.
     pub effort: f64,
-    /// Seed of the search.
-    pub seed: u64,
 }
 
 /// Which sheet sides are allowed.

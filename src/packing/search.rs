@@ -378,7 +378,7 @@ impl Search<'_> {
                 break;
             }
         }
-        let mut random = Random::new(self.context.seed ^ self.request.seed ^ u64::from(search == PackSearch::Thorough));
+        let mut random = Random::stream(self.context.seed, u64::from(search == PackSearch::Thorough));
         while found.work < budget
             && !found.best.is_empty()
             && self.request.pieces.len() > 1

@@ -153,7 +153,6 @@ fn place(
         work_budget: options.work_budget,
         starts,
         effort,
-        seed: options.seed,
     };
     let fitted = |sheet: [f64; 2], largest: f64| -> Result<Packing> {
         let request = Request { spacing: spacing(sheet_info, &options.pack, true), ..request.clone() };

@@ -88,7 +88,7 @@ impl Guided<'_> {
         let mut grid = Grid::new(self.request, (self.cell)(self.side / side), block);
         let mut stock = self.stock(grid, true);
         let mut goal = Goal::new(self.request, grid.cell, stock.cells);
-        let mut seeds = Random::new(self.context.seed ^ self.request.seed ^ 0x67);
+        let mut seeds = Random::stream(self.context.seed, 0x67);
         let mut walkers: Vec<Walker> = starts.iter().map(|_| Walker::new(None, seeds.next(), &WALK)).collect();
         let limit = self.budget / 10 / starts.len().max(1) as u64;
         walkers.par_iter_mut().zip(starts).try_for_each(|(walker, start)| {
