@@ -10,7 +10,7 @@ use crate::atlas::OverlapMode;
 use crate::atlas::{Atlas, ChartId, Charts, Clusters, Move, Topology, clusters, overlapping_charts};
 use crate::context::Context;
 use crate::error::{Code, Result, Warning};
-use crate::packing::{self, Packing, Piece, Placement, Request, Rounding, Spacing, Start};
+use crate::packing::{self, InitialLayout, Packing, Piece, Placement, Request, Rounding, Spacing};
 use crate::packing::{Pack, Rotation};
 use crate::texture::{Overflow, Size};
 
@@ -41,7 +41,7 @@ pub(super) fn lay_out(
     atlas: &Atlas,
     sheet_info: &SheetInfo,
     options: &Options,
-    starts: &[Start],
+    starts: &[InitialLayout],
     free: &[bool],
     effort: f64,
     context: &Context,
@@ -134,7 +134,7 @@ fn place(
     pieces: &[Piece],
     sheet_info: &SheetInfo,
     options: &Options,
-    starts: &[Start],
+    starts: &[InitialLayout],
     effort: f64,
     context: &Context,
 ) -> Result<Packing> {

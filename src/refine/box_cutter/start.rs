@@ -12,8 +12,8 @@ use super::panel::{Panel, Raster};
 use super::search::{Cut, State};
 use crate::atlas::OverlapMode;
 use crate::atlas::{Atlas, ChartId, Charts, Clusters, FaceId, Loops, Segment, Slicer, Topology, clusters, overlaps};
+use crate::packing::InitialLayout as Layout;
 use crate::packing::Rotation;
-use crate::packing::Start as Layout;
 
 /// Overlapping pairs that are looked for; beyond, charts are told apart by their areas alone.
 const PAIRS: usize = 1_000_000;

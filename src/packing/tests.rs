@@ -15,16 +15,16 @@ fn stars(seed: u64, n: usize) -> Vec<Piece> {
     let mut random = Random::new(seed);
     let star = |_| {
         let (points, size) = (5 + random.below(8), 15.0 + 40.0 * random.unit());
-        let rim: Vec<DVec2> = (0..points)
+        let boundary: Vec<DVec2> = (0..points)
             .map(|k| {
                 let radius = size * (0.3 + 0.7 * random.unit());
                 DVec2::from_angle(std::f64::consts::TAU * k as f64 / points as f64) * radius
             })
             .collect();
-        let next = |k: usize| rim[(k + 1) % points];
-        let triangles: Vec<[DVec2; 3]> = (0..points).map(|k| [DVec2::ZERO, rim[k], next(k)]).collect();
+        let next = |k: usize| boundary[(k + 1) % points];
+        let triangles: Vec<[DVec2; 3]> = (0..points).map(|k| [DVec2::ZERO, boundary[k], next(k)]).collect();
         let area = triangles.iter().map(|t| 0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()).sum();
-        Piece { border: (0..points).map(|k| next(k) - rim[k]).collect(), triangles, area, free: false }
+        Piece { border: (0..points).map(|k| next(k) - boundary[k]).collect(), triangles, area, free: false }
     };
     (0..n).map(star).collect()
 }
