@@ -2,6 +2,8 @@
 
 use glam::DVec2;
 
+use super::bits::{next_bit, set_run};
+
 /// Coordinates this close to a cell border count as lying on it.
 const ON_BORDER: f64 = 1e-9;
 /// Everything else is kept this far (in cells) from the cells that it does not own, so that rounding UVs to
@@ -67,17 +69,7 @@ impl Mask {
 
     /// Sets the cells `first..=last` of a row.
     pub fn set_run(&mut self, row: usize, first: usize, last: usize) {
-        let line = &mut self.bits[row * self.words..(row + 1) * self.words];
-        let (i, j) = (first / 64, last / 64);
-        let low = !0u64 << (first % 64);
-        let high = !0u64 >> (63 - last % 64);
-        if i == j {
-            line[i] |= low & high;
-        } else {
-            line[i] |= low;
-            line[i + 1..j].fill(!0);
-            line[j] |= high;
-        }
+        set_run(self.row_mut(row), first, last, true);
     }
 
     /// Sets the cells of another mask placed at `(x, y)`, which must lie inside.
@@ -158,20 +150,6 @@ impl Mask {
             }
         }
         result
-    }
-}
-
-/// The first bit of `value` at or after `from`.
-fn next_bit(line: &[u64], from: usize, value: bool) -> Option<usize> {
-    let mut i = from / 64;
-    let flip = if value { 0 } else { !0 };
-    let mut word = (*line.get(i)? ^ flip) & (!0u64 << (from % 64));
-    loop {
-        if word != 0 {
-            return Some(i * 64 + word.trailing_zeros() as usize);
-        }
-        i += 1;
-        word = *line.get(i)? ^ flip;
     }
 }
 

@@ -3,8 +3,9 @@
 //! Pieces are rasterised conservatively in each allowed orientation; a greedy construction puts them, large to
 //! small, at the best of *all* free positions of a strip (Box Cutter, section 3.3), which bit-parallel occupancy makes
 //! cheap enough to search over orders, widths and rules at a coarse resolution; the best plans are built again at a fine one and
-//! settled there. The thorough search goes on from the best plans by guided local search over overlaps (`guided`).
+//! compacted there. The thorough search goes on from the best plans by guided local search over overlaps (`guided`).
 
+mod bits;
 mod fit;
 mod greedy;
 mod guided;
@@ -16,12 +17,16 @@ mod outline;
 mod random;
 mod search;
 mod shape;
+mod sheet;
+#[cfg(test)]
+mod tests;
+mod tuning;
 
 use glam::{DMat2, DVec2};
 
 pub use fit::{Fitted, pack_into};
-pub(crate) use greedy::{Layout, Plan, Rule, greedy};
-pub use guided::Start;
+pub(crate) use greedy::{PlacementRule, Plan, StripLayout, greedy};
+pub use guided::InitialLayout;
 pub(crate) use mask::Mask;
 pub(crate) use occupancy::{Pitch, Probe};
 pub use options::{Gutter, Pack, PackSearch, Rotation};
@@ -47,11 +52,15 @@ pub struct Piece {
 impl Piece {
     /// Diagonal of the bounding box, in texels.
     fn diagonal(&self) -> f64 {
-        let points = || self.triangles.iter().flatten();
-        let low = points().fold(DVec2::INFINITY, |m, p| m.min(*p));
-        let high = points().fold(DVec2::NEG_INFINITY, |m, p| m.max(*p));
-        if low.is_finite() { (high - low).length() } else { 0.0 }
+        let (low, high) = corners(self.triangles.iter().flatten().copied());
+        (high - low).length()
     }
+}
+
+/// Corners of the bounding box of points; of none, twice the origin.
+fn corners(points: impl Iterator<Item = DVec2>) -> (DVec2, DVec2) {
+    let (low, high) = points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+    if low.is_finite() { (low, high) } else { (DVec2::ZERO, DVec2::ZERO) }
 }
 
 /// Distances that placement keeps, in reference texels.
@@ -66,6 +75,19 @@ pub struct Spacing {
     /// The smallest cell, usually a texel of the smallest slot: gutters are counted in whole cells. Ignored where nothing must keep
     /// whole texels (`lattice` is null and `gutter` is 0).
     pub unit: f64,
+}
+
+impl Spacing {
+    /// The gutter in cells.
+    fn gutter_cells(&self, cell: f64) -> usize {
+        (self.gutter / cell - 1e-9).ceil().max(0.0) as usize
+    }
+
+    /// Positions are multiples of this many cells. On whole texels the lattice is the user's; finer cells than the lattice keep
+    /// positions on it.
+    fn stride(&self, cell: f64) -> usize {
+        self.lattice.map_or(1, |l| ((l / cell).round() as usize).max(1))
+    }
 }
 
 /// What is asked of a packing.
@@ -92,11 +114,9 @@ pub struct Request<'a> {
     /// Words of occupancy that the search may look at; `None` is the search's own default.
     pub work_budget: Option<u64>,
     /// Layouts to start from; where there are any, the thorough search begins there and nowhere else.
-    pub starts: &'a [Start],
+    pub starts: &'a [InitialLayout],
     /// Multiplies the budget; 1 is the default.
     pub effort: f64,
-    /// Seed of the search.
-    pub seed: u64,
 }
 
 /// Which sheet sides are allowed.

@@ -2,7 +2,7 @@
 
 use glam::{DMat2, DVec2};
 
-use super::Piece;
+use super::{Piece, corners};
 use crate::packing::Rotation;
 
 /// A rotation, after an optional mirroring of x.
@@ -88,14 +88,8 @@ fn tightest_box(piece: &Piece) -> f64 {
     let points = hull(piece.triangles.iter().flatten().copied().collect());
     let area = |angle: f64| -> f64 {
         let (sin, cos) = angle.sin_cos();
-        let mut low = DVec2::INFINITY;
-        let mut high = DVec2::NEG_INFINITY;
-        for p in &points {
-            let q = DVec2::new(p.x * cos - p.y * sin, p.x * sin + p.y * cos);
-            low = low.min(q);
-            high = high.max(q);
-        }
-        if low.is_finite() { (high - low).element_product() } else { 0.0 }
+        let (low, high) = corners(points.iter().map(|p| DVec2::new(p.x * cos - p.y * sin, p.x * sin + p.y * cos)));
+        (high - low).element_product()
     };
     least(area, FRAC_PI_2 / 90.0).rem_euclid(FRAC_PI_2)
 }

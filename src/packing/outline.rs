@@ -2,9 +2,9 @@
 
 use glam::{DMat2, DVec2};
 
-use super::Piece;
 use super::mask::{Mask, on_border};
 use super::shape::frame;
+use super::{Piece, corners};
 
 /// A piece's directed border, and the triangles that do not turn the way most do.
 #[derive(Debug)]
@@ -61,14 +61,7 @@ impl Outline {
     }
 
     fn corners(&self, linear: DMat2) -> (DVec2, DVec2) {
-        let mut low = DVec2::INFINITY;
-        let mut high = DVec2::NEG_INFINITY;
-        for p in self.border.iter().flatten().chain(self.folded.iter().flatten()) {
-            let q = linear * *p;
-            low = low.min(q);
-            high = high.max(q);
-        }
-        if low.is_finite() { (low, high) } else { (DVec2::ZERO, DVec2::ZERO) }
+        corners(self.border.iter().flatten().chain(self.folded.iter().flatten()).map(|p| linear * *p))
     }
 
     /// The cells that the piece touches, and what is subtracted from turned coordinates so that the mask's corner is the origin.

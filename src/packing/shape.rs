@@ -5,11 +5,12 @@ use std::sync::Arc;
 use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
+use super::greedy::Spot;
 use super::mask::Mask;
 use super::occupancy::{Pitch, Probe};
 use super::orientation::Orientation;
 use super::outline::Outline;
-use super::search::MANY;
+use super::tuning::Tuning;
 use super::{Piece, Spacing};
 
 /// One piece in one orientation at one resolution.
@@ -51,9 +52,8 @@ impl Shapes {
         spacing: &Spacing,
         widest: f64,
     ) -> Self {
-        let gutter = (spacing.gutter / cell - 1e-9).ceil().max(0.0) as usize;
-        // On whole texels the lattice is the user's; finer cells than the lattice keep positions on it.
-        let stride = spacing.lattice.map_or(1, |l| ((l / cell).round() as usize).max(1));
+        let (gutter, stride) = (spacing.gutter_cells(cell), spacing.stride(cell));
+        let spread = stride > 1 || Tuning::of(pieces.len()).spreads_probes;
         let masks: Vec<Vec<(Mask, DVec2, DMat2)>> = pieces
             .par_iter()
             .zip(outlines)
@@ -75,13 +75,23 @@ impl Shapes {
             .into_par_iter()
             .map(|own| {
                 let shape = |(mask, anchor, linear): (Mask, DVec2, DMat2)| {
-                    let probe = Probe::new(&mask.dilated(gutter), pitch, stride > 1 || pieces.len() > MANY);
+                    let probe = Probe::new(&mask.dilated(gutter), pitch, spread);
                     Shape { cells: mask.count(), mask, probe, anchor, linear }
                 };
                 Arc::new(own.into_par_iter().map(shape).collect())
             })
             .collect();
         Shapes { cell, gutter, of_piece, pitch }
+    }
+
+    /// A piece as it lies at a spot.
+    pub fn at(&self, piece: usize, spot: Spot) -> &Shape {
+        &self.of_piece[piece][spot.orientation as usize]
+    }
+
+    /// One past the highest row of a piece at a spot.
+    pub fn top(&self, piece: usize, spot: Spot) -> usize {
+        spot.y as usize + self.at(piece, spot).mask.height
     }
 }
 

@@ -11,7 +11,7 @@ use crate::atlas::{
 };
 use crate::context::Context;
 use crate::error::{Code, Result, Warning};
-use crate::packing::{self, Packing, Piece, Placement, Request, Rounding, Spacing, Start};
+use crate::packing::{self, InitialLayout, Packing, Piece, Placement, Request, Rounding, Spacing};
 use crate::packing::{Pack, Rotation};
 use crate::texture::{Overflow, Size};
 
@@ -42,7 +42,7 @@ pub(super) fn lay_out(
     atlas: &Atlas,
     sheet_info: &SheetInfo,
     options: &Options,
-    starts: &[Start],
+    starts: &[InitialLayout],
     free: &[bool],
     effort: f64,
     context: &Context,
@@ -135,7 +135,7 @@ fn place(
     pieces: &[Piece],
     sheet_info: &SheetInfo,
     options: &Options,
-    starts: &[Start],
+    starts: &[InitialLayout],
     effort: f64,
     context: &Context,
 ) -> Result<Packing> {
@@ -154,7 +154,6 @@ fn place(
         work_budget: options.work_budget,
         starts,
         effort,
-        seed: options.seed,
     };
     let fitted = |sheet: [f64; 2], largest: f64| -> Result<Packing> {
         let request = Request { spacing: spacing(sheet_info, &options.pack, true), ..request.clone() };

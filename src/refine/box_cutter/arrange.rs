@@ -6,7 +6,7 @@ use glam::DVec2;
 
 use super::outline::Line;
 use super::panel::{Panel, Raster, to_chart};
-use crate::packing::{Layout, Mask, Plan, Rule, Shapes, greedy};
+use crate::packing::{Mask, PlacementRule as Rule, Plan, Shapes, StripLayout as Layout, greedy};
 
 /// A layout of panels.
 #[derive(Debug, Clone)]

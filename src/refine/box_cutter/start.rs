@@ -14,8 +14,8 @@ use crate::atlas::{
     Atlas, ChartId, Charts, Clusters, FaceId, LineCutter, Loops, Mesh, OverlapMode, Segment, Topology, clusters,
     overlaps,
 };
+use crate::packing::InitialLayout as Layout;
 use crate::packing::Rotation;
-use crate::packing::Start as Layout;
 
 /// Overlapping pairs that are looked for; beyond, charts are told apart by their areas alone.
 const PAIRS: usize = 1_000_000;

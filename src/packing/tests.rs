@@ -1,8 +1,11 @@
 //! What every layout must keep, of the thorough search and of the fast one where pieces are many.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
 use glam::{DMat2, DVec2};
 
-use crate::context::Context;
+use crate::context::{Context, Silent};
 use crate::packing::random::Random;
 use crate::packing::{PackSearch, Rotation};
 use crate::packing::{Packing, Piece, Request, Rounding, Spacing, pack, pack_into};
@@ -12,16 +15,16 @@ fn stars(seed: u64, n: usize) -> Vec<Piece> {
     let mut random = Random::new(seed);
     let star = |_| {
         let (points, size) = (5 + random.below(8), 15.0 + 40.0 * random.unit());
-        let rim: Vec<DVec2> = (0..points)
+        let boundary: Vec<DVec2> = (0..points)
             .map(|k| {
                 let radius = size * (0.3 + 0.7 * random.unit());
                 DVec2::from_angle(std::f64::consts::TAU * k as f64 / points as f64) * radius
             })
             .collect();
-        let next = |k: usize| rim[(k + 1) % points];
-        let triangles: Vec<[DVec2; 3]> = (0..points).map(|k| [DVec2::ZERO, rim[k], next(k)]).collect();
+        let next = |k: usize| boundary[(k + 1) % points];
+        let triangles: Vec<[DVec2; 3]> = (0..points).map(|k| [DVec2::ZERO, boundary[k], next(k)]).collect();
         let area = triangles.iter().map(|t| 0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()).sum();
-        Piece { border: (0..points).map(|k| next(k) - rim[k]).collect(), triangles, area, free: false }
+        Piece { border: (0..points).map(|k| next(k) - boundary[k]).collect(), triangles, area, free: false }
     };
     (0..n).map(star).collect()
 }
@@ -40,12 +43,16 @@ fn request(pieces: &[Piece]) -> Request<'_> {
         work_budget: Some(30_000_000),
         effort: 1.0,
         scale: 1.0,
-        seed: 7,
     }
 }
 
 fn packed(request: &Request<'_>) -> Packing {
-    pack(request, &Context::silent()).unwrap_or_else(|e| panic!("{e:?}"))
+    seeded(request, 7)
+}
+
+fn seeded(request: &Request<'_>, seed: u64) -> Packing {
+    let context = Context::new(Arc::new(Silent), Arc::new(AtomicBool::new(false)), seed);
+    pack(request, &context).unwrap_or_else(|e| panic!("{e:?}"))
 }
 
 /// The distance of two triangles in the maximum norm, or less: over the axes that can separate them once one has grown by a square.
@@ -124,6 +131,22 @@ fn gutters_margins_and_lattices_are_kept() {
 }
 
 #[test]
+fn the_seed_chooses_the_layout() {
+    let pieces = stars(6, 20);
+    let thorough = request(&pieces);
+    let fast = Request { search: PackSearch::Fast, work_budget: Some(4_000_000), ..thorough.clone() };
+    for request in [fast, thorough] {
+        let layouts = [0, 1, 2].map(|seed| seeded(&request, seed));
+        for (seed, layout) in layouts.iter().enumerate() {
+            check(&request, layout);
+            assert_eq!(*layout, seeded(&request, seed as u64));
+            let same = layouts.iter().filter(|other| other.placements == layout.placements).count();
+            assert_eq!(same, 1, "the layout of seed {seed} is that of another");
+        }
+    }
+}
+
+#[test]
 fn the_number_of_threads_does_not_matter() {
     let pieces = stars(5, 11);
     let request = request(&pieces);
@@ -188,8 +211,6 @@ fn a_sheet_of_fixed_size_is_filled_better() {
 
 #[test]
 fn a_cancelled_job_stops() {
-    use std::sync::Arc;
-    use std::sync::atomic::AtomicBool;
-    let cancelled = Context::new(Arc::new(crate::context::Silent), Arc::new(AtomicBool::new(true)), 0);
+    let cancelled = Context::new(Arc::new(Silent), Arc::new(AtomicBool::new(true)), 0);
     assert!(pack(&request(&stars(1, 6)), &cancelled).is_err());
 }

@@ -1,72 +1,61 @@
-//! What makes a box of cells good, and which box to try next.
+//! Which container the local search tries next, and what one costs.
 
 use crate::packing::random::Random;
+use crate::packing::sheet::SheetObjective;
 use crate::packing::{Request, Rounding};
 
-/// The cost of boxes of cells.
+/// The cost of containers of cells.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Goal {
-    cell: f64,
-    margin: f64,
-    aspect: Option<f64>,
-    round: Rounding,
+pub(super) struct Objective {
+    sheet: SheetObjective,
     /// Longest sides in cells.
     max: [i32; 2],
-    /// Cells that the pieces own between them: no box is smaller.
+    /// Cells that the pieces own between them: no container is smaller.
     least: f64,
 }
 
-impl Goal {
+impl Objective {
     pub fn new(request: &Request<'_>, cell: f64, least: f64) -> Self {
-        let margin = 2.0 * request.spacing.margin;
-        let max = request.max.map(|m| ((m - margin) / cell + 1e-9).floor().clamp(0.0, 1e9) as i32);
-        Goal { cell, margin, aspect: request.aspect, round: request.round, max, least }
+        let sheet = SheetObjective::new(request, cell);
+        Objective { sheet, max: request.max.map(|side| sheet.cells(side).min(1e9) as i32), least }
     }
 
-    fn side(&self, cells: i32) -> f64 {
-        f64::from(cells) * self.cell + self.margin
-    }
-
-    /// Sides in texels of the sheet that holds a box of cells.
+    /// Sides in texels of the sheet that holds a container.
     pub fn sheet(&self, width: i32, height: i32) -> [f64; 2] {
-        let (mut w, mut h) = (self.side(width), self.side(height));
-        if let Some(aspect) = self.aspect {
-            (w, h) = (w.max(h * aspect), h.max(w / aspect));
-        }
-        [self.round.up(w), self.round.up(h)]
+        self.sheet.sides(f64::from(width), f64::from(height))
     }
 
-    /// Area of the sheet; among sheets of equal size the emptier one is better.
+    /// What that sheet costs; infinite where it is too long.
     pub fn cost(&self, width: i32, height: i32) -> f64 {
         if width > self.max[0] || height > self.max[1] {
             return f64::INFINITY;
         }
-        let [w, h] = self.sheet(width, height);
-        w * h + 1e-6 * f64::from(width) * f64::from(height) * self.cell * self.cell
+        self.sheet.cost(f64::from(width), f64::from(height))
     }
 
     /// The largest allowed side at or below `side` texels.
     fn down(&self, side: f64) -> f64 {
-        match self.round {
+        match self.sheet.round {
             Rounding::Free => side,
             Rounding::MultipleOf(m) => (side / m + 1e-9).floor() * m,
             Rounding::PowerOfTwo(_) => {
-                let up = self.round.up(side.max(1.0));
+                let up = self.sheet.round.up(side.max(1.0));
                 if up > side * (1.0 + 1e-9) { up / 2.0 } else { up }
             }
         }
     }
 
     fn cells(&self, side: f64, axis: usize) -> i32 {
-        (((side - self.margin) / self.cell + 1e-9).floor().clamp(0.0, 1e9) as i32).min(self.max[axis])
+        (self.sheet.cells(side).min(1e9) as i32).min(self.max[axis])
     }
 
-    /// A box whose sheet is smaller than this one's by the fraction `step`, or by the least that the rounding of sides allows: narrower, lower,
-    /// both, or of another aspect. `None` where the pieces cannot fit.
+    /// A container whose sheet is smaller than this one's by the fraction `step`, or by the least that the rounding of sides allows:
+    /// narrower, lower, both, or of another aspect (by up to `drift`, natural logarithm). `None` where the pieces cannot fit.
     pub fn shrink(&self, width: i32, height: i32, step: f64, drift: f64, random: &mut Random) -> Option<(i32, i32)> {
         let [w, h] = self.sheet(width, height);
+        let SheetObjective { aspect, round, .. } = self.sheet;
         let area = w * h * (1.0 - step);
-        let (w, h) = if let Some(aspect) = self.aspect {
+        let (w, h) = if let Some(aspect) = aspect {
             let high = self.down((area / aspect).sqrt());
             (self.down(high * aspect), high)
         } else {
@@ -76,11 +65,11 @@ impl Goal {
                 2 => w * (1.0 - step).sqrt(),
                 _ => w * ((random.unit() + random.unit() - 1.0) * drift).exp(),
             };
-            if random.below(2) == 0 || self.round == Rounding::Free {
-                let wide = self.round.up(wide);
+            if random.below(2) == 0 || round == Rounding::Free {
+                let wide = round.up(wide);
                 (wide, self.down(area / wide))
             } else {
-                let high = self.round.up(area / wide);
+                let high = round.up(area / wide);
                 (self.down(area / high), high)
             }
         };
@@ -98,16 +87,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shrunk_box_costs_less() {
+    fn a_shrunk_container_costs_less() {
         let mut random = Random::new(1);
         for round in [Rounding::Free, Rounding::MultipleOf(4.0), Rounding::PowerOfTwo(4.0)] {
             for aspect in [None, Some(1.0), Some(2.0)] {
-                let goal = Goal { cell: 1.0, margin: 2.0, aspect, round, max: [4000; 2], least: 1.0 };
+                let sheet = SheetObjective { cell: 1.0, margins: 2.0, aspect, round };
+                let objective = Objective { sheet, max: [4000; 2], least: 1.0 };
                 let mut shrunk = 0;
                 for _ in 0..300 {
                     let (w, h) = (20 + random.below(500) as i32, 20 + random.below(500) as i32);
-                    if let Some((a, b)) = goal.shrink(w, h, 0.01, 0.2, &mut random) {
-                        assert!(goal.cost(a, b) < goal.cost(w, h), "{round:?} {aspect:?} {w}x{h} -> {a}x{b}");
+                    if let Some((a, b)) = objective.shrink(w, h, 0.01, 0.2, &mut random) {
+                        let smaller = objective.cost(a, b) < objective.cost(w, h);
+                        assert!(smaller, "{round:?} {aspect:?} {w}x{h} -> {a}x{b}");
                         shrunk += 1;
                     }
                 }
