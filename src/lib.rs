@@ -21,13 +21,14 @@
 //! * [`atlas`]: the value that everything works on: surface, UVs in texels, provenance.
 //! * [`config`]: every flag, environment variable and limit.
 //! * [`context`]: progress, cancellation, the budget of work and the clock.
+//! * [`params`]: what the sections of the options have in common: defaults, ranges, schema, and how they are read.
 //! * [`error`]: what can go wrong, and whose it is.
 
 /// The rooms from top to bottom; `rooms.rs` holds the imports against it.
 #[cfg(test)]
-const ROOMS: [&str; 12] = [
+const ROOMS: [&str; 13] = [
     "http", "jobs", "refine", "metrics", "asset", "texture", "packing", "numeric", "atlas", "config", "context",
-    "error",
+    "params", "error",
 ];
 
 pub mod asset;
@@ -40,6 +41,7 @@ pub mod jobs;
 pub mod metrics;
 mod numeric;
 pub mod packing;
+pub mod params;
 pub mod refine;
 #[cfg(test)]
 mod rooms;

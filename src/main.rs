@@ -6,12 +6,11 @@ mod commands;
 
 use std::process::ExitCode;
 
-use clap::Parser;
-use intarsia::config::{Cli, Command};
+use intarsia::config::Command;
 use intarsia::error::Code;
 
 fn main() -> ExitCode {
-    let command = Cli::parse().command;
+    let command = commands::parse().command;
     // The words of a panic are on stderr already.
     let Ok(done) = std::panic::catch_unwind(|| match command {
         Command::Serve(arguments) => commands::serve::run(&arguments),

@@ -13,14 +13,23 @@ use std::fs::File;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use clap::{CommandFactory, FromArgMatches};
 use intarsia::asset::{self, read_paths};
-use intarsia::config::OptionFlags;
+use intarsia::config::{Cli, OptionFlags};
 use intarsia::error::{Code, Failure, Result};
 use intarsia::metrics::Unmet;
 use intarsia::refine::options::{ImportanceSource, Options, Output};
-use intarsia::refine::parse;
 use intarsia::refine::run::Input;
+use intarsia::refine::{parse, recipe};
 use serde_json::{Map, Value};
+
+/// The command line as it was given; its help names the recipes.
+pub fn parse() -> Cli {
+    let recipes = recipe::recipes().map(|(name, description)| format!("\n  {name:<12} {description}"));
+    let help = format!("Recipes:{}", recipes.collect::<String>());
+    let command = Cli::command().mut_subcommand("refine", |refine| refine.after_help(help));
+    Cli::from_arg_matches(&command.get_matches()).unwrap_or_else(|error| error.exit())
+}
 
 /// Reads the models on the command line, each with the files that it names; inputs that are no model go with all of
 /// them, and so does the picture that `importance` names by its path.
@@ -74,21 +83,10 @@ fn read_options(flags: &OptionFlags, output: Option<Output>) -> Result<Options> 
         let text = std::fs::read(path).map_err(|e| failed(&e))?;
         value = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
     }
-    let recipe = flags.recipe.as_deref().map(parse::recipe_named);
-    let output = output.map(|o| serde_json::to_value(o).unwrap_or_default());
-    if let Some(map) = value.as_object_mut() {
-        map.extend(recipe.map(|r| ("recipe".to_owned(), r)));
-        map.extend(output.map(|o| ("output".to_owned(), o)));
-    }
-    let mut problems = Vec::new();
-    for assignment in &flags.set {
-        problems.extend(parse::set(&mut value, assignment).err());
-    }
-    match parse::options(&value) {
-        Ok(options) if problems.is_empty() => return Ok(options),
-        Ok(_) => {}
-        Err(more) => problems.extend(more),
-    }
+    let mut problems = match parse::command_line(value, flags, output) {
+        Ok(options) => return Ok(options),
+        Err(problems) => problems,
+    };
     for problem in problems.iter().skip(1) {
         eprintln!("error: {} (at {})", problem.message, problem.pointer);
     }

@@ -4,14 +4,15 @@ use axum::Json;
 use axum::extract::State;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
+use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::App;
-use crate::packing::Pack;
-use crate::refine::box_cutter::params::BoxCutter;
-use crate::refine::defrag::params::Defrag;
-use crate::refine::options::Options;
-use crate::refine::parse::{MAX_METADATA_BYTES, MAX_STAGES, RECIPES};
+use crate::refine::erased::{ErasedStage, NamedSchemas};
+use crate::refine::options::{Options, OptionsSchema};
+use crate::refine::parse::MAX_METADATA_BYTES;
+use crate::refine::recipe::{self, MAX_STAGES};
+use crate::refine::table;
 
 /// The presets, the stages and all options, as JSON Schema.
 #[derive(Serialize, ToSchema)]
@@ -41,7 +42,7 @@ struct StageInfo {
     /// What it does.
     description: &'static str,
     /// Where its parameters stand in the options: a JSON pointer, or null when they stand in the stage itself.
-    parameters_at: Option<&'static str>,
+    parameters_at: Option<String>,
     /// JSON Schema of its parameters.
     parameters: Value,
 }
@@ -49,20 +50,23 @@ struct StageInfo {
 /// Presets, and stages with their parameters as JSON Schema.
 #[utoipa::path(get, path = "/v1/recipes", tag = "service", responses((status = 200, body = Recipes)))]
 pub(super) async fn recipes() -> Json<Recipes> {
-    let recipes = RECIPES.iter().map(|&(name, description)| Named { name, description }).collect();
-    let described = |stage: &str| RECIPES.iter().find(|r| r.0 == stage).map_or("", |r| r.1);
-    let stage = |stage: &'static str, parameters_at, parameters| StageInfo {
-        stage,
-        description: described(stage),
-        parameters_at,
-        parameters,
-    };
-    let stages = vec![
-        stage("pack", Some("/pack"), schema::<Pack>(&Pack::default())),
-        stage("box_cutter", None, schema::<BoxCutter>(&BoxCutter::default())),
-        stage("defrag", None, schema::<Defrag>(&Defrag::default())),
-    ];
-    Json(Recipes { recipes, stages, options: schema::<Options>(&Options::default()) })
+    let recipes = recipe::recipes().map(|(name, description)| Named { name, description }).collect();
+    let stages = table::all().map(|stage| StageInfo::new(&stage)).collect();
+    let mut parts = Vec::new();
+    OptionsSchema::schemas(&mut parts);
+    let options = standalone(OptionsSchema::schema(), parts, &Options::default());
+    Json(Recipes { recipes, stages, options })
+}
+
+impl StageInfo {
+    fn new(stage: &ErasedStage) -> Self {
+        StageInfo {
+            stage: stage.name(),
+            description: stage.description(),
+            parameters_at: stage.is_shared().then(|| format!("/{}", stage.name())),
+            parameters: standalone(stage.schema(), stage.referred(), &stage.to_value()),
+        }
+    }
 }
 
 /// Every limit of this service.
@@ -132,13 +136,11 @@ pub(super) async fn limits(State(app): State<App>) -> Json<LimitList> {
     })
 }
 
-/// The JSON Schema of a type that stands alone, its defaults filled in.
-fn schema<T: ToSchema + PartialSchema + Serialize>(defaults: &T) -> Value {
-    let mut parts = Vec::new();
-    T::schemas(&mut parts);
-    let mut out = serde_json::to_value(T::schema()).unwrap_or_default();
+/// A JSON Schema that stands alone: with the schemas that it refers to, and the defaults.
+fn standalone(schema: RefOr<Schema>, referred: NamedSchemas, defaults: &impl Serialize) -> Value {
+    let mut out = serde_json::to_value(schema).unwrap_or_default();
     let mut definitions = Map::new();
-    for (name, part) in parts {
+    for (name, part) in referred {
         definitions.insert(name, serde_json::to_value(part).unwrap_or_default());
     }
     if let Some(map) = out.as_object_mut() {
@@ -167,17 +169,81 @@ fn local_references(value: &mut Value) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use clap::Parser;
 
-    #[test]
-    fn the_schema_of_options_stands_alone() {
-        let schema = schema(&Options::default());
-        assert_eq!(schema["default"]["texture"]["max_size"], 8192);
-        let text = schema.to_string();
-        assert!(!text.contains("#/components"));
-        for part in text.split("#/$defs/").skip(1) {
-            let name = part.split('"').next().unwrap();
-            assert!(schema["$defs"].get(name).is_some(), "{name} is not defined");
+    use super::*;
+    use crate::config::{Cli, Command};
+    use crate::refine::parse;
+
+    async fn listing() -> Value {
+        serde_json::to_value(&recipes().await.0).unwrap()
+    }
+
+    #[tokio::test]
+    async fn every_schema_stands_alone() {
+        let listing = listing().await;
+        assert_eq!(listing["options"]["default"]["texture"]["max_size"], 8192);
+        let stages = listing["stages"].as_array().unwrap().iter().map(|stage| &stage["parameters"]);
+        for schema in stages.chain([&listing["options"]]) {
+            let text = schema.to_string();
+            assert!(!text.contains("#/components"));
+            for part in text.split("#/$defs/").skip(1) {
+                let name = part.split('"').next().unwrap();
+                assert!(schema["$defs"].get(name).is_some(), "{name} is not defined");
+            }
         }
+    }
+
+    /// `nudge` is one file under `refine/tests`, and one line in the table.
+    #[tokio::test]
+    async fn a_stage_of_one_file_and_one_line_is_everywhere() {
+        // In the listing.
+        let listing = listing().await;
+        let of = |list: &str, key: &str| {
+            let all = listing[list].as_array().unwrap();
+            all.iter().find(|e| e[key] == "nudge").unwrap_or_else(|| panic!("not in {list}")).clone()
+        };
+        assert_eq!(of("recipes", "name")["description"], "Moves all charts a little.");
+        let stage = of("stages", "stage");
+        let by = &stage["parameters"]["properties"]["by"];
+        assert_eq!((&stage["parameters_at"], &by["minimum"], &by["maximum"]), (&Value::Null, &json!(1), &json!(64)));
+        assert_eq!(listing["options"]["default"]["nudge"], json!({"by": 1, "breaks": false}));
+
+        // In the OpenAPI document: its parameters, their section in the options, and the stage in a recipe.
+        let contract = serde_json::to_value(crate::http::router::openapi()).unwrap();
+        let schemas = &contract["components"]["schemas"];
+        let by = &schemas["Nudge"]["properties"]["by"];
+        assert_eq!(
+            (&by["description"], &by["default"]),
+            (&json!("How far the charts move to the right, in texels."), &json!(1))
+        );
+        assert_eq!(schemas["Options"]["properties"]["nudge"]["$ref"], "#/components/schemas/Nudge");
+        assert_eq!(schemas["Options"]["additionalProperties"], false);
+        assert_eq!(schemas["Options"]["description"], "All options of a job.");
+        let stages = schemas["Stage"]["oneOf"].as_array().unwrap();
+        let nudge = stages.iter().find(|s| s["properties"]["stage"]["enum"][0] == "nudge").unwrap();
+        assert_eq!(nudge["properties"]["by"]["maximum"], 64);
+
+        // On the command line: as a recipe, among others, and with its parameters; what is wrong is told.
+        let given = |arguments: &[&str]| {
+            let line = ["intarsia", "refine", "in.glb", "-o", "out.glb"].iter().chain(arguments);
+            let Command::Refine(refine) = Cli::try_parse_from(line).unwrap().command else { panic!("refine") };
+            parse::command_line(json!({}), &refine.options, None)
+        };
+        for recipe in ["nudge", "pack,nudge"] {
+            let options = given(&["--recipe", recipe, "--set", "nudge.by=3"]).unwrap();
+            let last = options.steps().pop().unwrap().stage;
+            assert_eq!((last.name(), &last.to_value()["by"]), ("nudge", &json!(3)));
+        }
+        let wrong = given(&["--recipe", "nudg", "--set", "nudge.by=65", "--set", "nudge.buy=1"]).unwrap_err();
+        let told: Vec<&str> = wrong.iter().map(|p| p.message.as_str()).collect();
+        assert_eq!(
+            told,
+            [
+                "no recipe or stage is called `nudg`; did you mean `nudge`?",
+                "unknown option `buy`; did you mean `by`?",
+                "`by` is 65, outside 1..=64",
+            ]
+        );
     }
 }

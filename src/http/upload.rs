@@ -24,7 +24,7 @@ use crate::error::{Code, Failure};
 use crate::jobs::files::{Manifest, UploadedFile, disk};
 use crate::jobs::queue::NewJob;
 use crate::jobs::record::{Job, new_id};
-use crate::refine::options::Options;
+use crate::refine::options::{Options, OptionsSchema};
 use crate::refine::parse;
 
 /// Bytes of the `options` of a submission.
@@ -50,6 +50,7 @@ pub(super) struct Submission {
     #[schema(value_type = Vec<String>, format = Binary, required = false)]
     files: Vec<Vec<u8>>,
     /// The options, as JSON.
+    #[schema(value_type = Option<OptionsSchema>)]
     options: Option<Options>,
 }
 

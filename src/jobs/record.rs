@@ -108,7 +108,7 @@ pub struct Job {
     /// The recipe of its options.
     pub recipe: Value,
     /// Its options, all defaults filled in.
-    #[schema(value_type = crate::refine::options::Options)]
+    #[schema(value_type = crate::refine::options::OptionsSchema)]
     pub options: Value,
     /// How far it is.
     pub progress: Progress,

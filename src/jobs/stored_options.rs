@@ -52,7 +52,7 @@ mod tests {
             json!({"recipe": [{"stage": "defrag", "max_resampled": 0.3}, {"stage": "box_cutter"}, {"stage": "pack"}]});
         let rich = json!({"fabrication": {"numbers": true}, "require": {"atlas.charts": {"max": 1}}, "metadata": {"a": {"b": 1}},
             "importance": {"materials": {"m": 2.0}}, "texture": {"size": [64, 32]}, "pack": {"gutter": 3}});
-        let named = parse::RECIPES.iter().map(|r| json!({ "recipe": r.0 }));
+        let named = crate::refine::recipe::recipes().map(|r| json!({ "recipe": r.0 }));
         for given in named.chain([stages, rich]) {
             let options = parse::options(&given).unwrap();
             assert_eq!(read(&serde_json::to_value(&options).unwrap()), Ok((options, Vec::new())), "{given}");

@@ -57,29 +57,33 @@ pub fn check_path(path: &str) -> Result<()> {
 }
 
 /// The figure of `path` (`atlas.` and `model.` stripped), or why it is not defined.
-fn figure(measures: &Measures, name: &str) -> std::result::Result<f64, String> {
+fn figure(measures: &Measures, name: &str) -> Figure {
     let value = serde_json::to_value(measures).unwrap_or_default();
     let found = name.split('.').try_fold(&value, |v, key| v.get(key)).and_then(Value::as_f64);
     found.ok_or_else(|| measures.undefined.get(name).cloned().unwrap_or_else(|| "it is not defined".to_owned()))
 }
 
-/// The values (before, after) of a dotted path: of the model, or of every refined atlas, with the atlas' id.
-/// An undefined figure is an `Err` with its reason. `invalid_options` where there is no such figure.
-#[expect(clippy::type_complexity, reason = "a list of pairs, read once")]
-pub fn lookup(
-    report: &Report,
-    path: &str,
-) -> Result<Vec<(Option<u64>, std::result::Result<f64, String>, std::result::Result<f64, String>)>> {
+/// A figure, or why it is not defined.
+type Figure = std::result::Result<f64, String>;
+
+/// A figure of the model or, where there is an id, of one atlas.
+struct Compared {
+    atlas: Option<u64>,
+    before: Figure,
+    after: Figure,
+}
+
+/// What a dotted path stands for: a figure of the model, or that of every refined atlas. `invalid_options` where there is no such figure.
+fn lookup(report: &Report, path: &str) -> Result<Vec<Compared>> {
     check_path(path)?;
     let (scope, name) = path.split_once('.').unwrap_or((path, ""));
+    let compared = |atlas, before, after| Compared { atlas, before: figure(before, name), after: figure(after, name) };
     Ok(match scope {
-        "model" => vec![(None, figure(&report.model.before, name), figure(&report.model.after, name))],
-        _ => report
-            .atlases
-            .iter()
-            .filter(|a| a.refined)
-            .map(|a| (Some(a.id), figure(&a.before, name), figure(&a.after, name)))
-            .collect(),
+        "model" => vec![compared(None, &report.model.before, &report.model.after)],
+        _ => {
+            let refined = report.atlases.iter().filter(|a| a.refined);
+            refined.map(|a| compared(Some(a.id), &a.before, &a.after)).collect()
+        }
     })
 }
 
@@ -95,7 +99,7 @@ pub fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result
             if values.is_empty() {
                 worst = Some((f64::INFINITY, None, Some("no atlas was refined".to_owned())));
             }
-            for (atlas, before, after) in &values {
+            for Compared { atlas, before, after } in &values {
                 let of = atlas.map(|id| format!("atlas {id}"));
                 let (miss, got, detail) = match bound.miss(before, after) {
                     Ok((miss, got)) => (miss, Some(got), of),
@@ -131,8 +135,6 @@ fn bounds(r: &Requirement) -> impl Iterator<Item = Bound> {
         .into_iter()
         .filter_map(|(name, value)| value.map(|value| Bound { name, value }))
 }
-
-type Figure = std::result::Result<f64, String>;
 
 impl Bound {
     /// By how much the bound is missed (not at all where <= 0), and the value that is compared.

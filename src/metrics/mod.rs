@@ -18,7 +18,7 @@ mod report;
 mod requirement;
 
 pub use density::TexelDensity;
-pub use gate::{Unmet, check_path, lookup, paths, unmet};
+pub use gate::{Unmet, check_path, paths, unmet};
 pub use measures::{MeasureInputs, Measures, SlotSize, measure, roll_up};
 pub use picture::picture;
 pub use report::{

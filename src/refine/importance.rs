@@ -7,19 +7,60 @@
 use std::collections::BTreeMap;
 
 use image::DynamicImage;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use utoipa::ToSchema;
 
-use super::options::ImportanceSource;
 use crate::asset::{self, ComponentType, Document, File, Kind, Limits, PrimitiveRef, TextureSet};
 use crate::atlas::Provenance;
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
+use crate::params::{Problem, child, short};
 use crate::texture::{Wrap, decode, texel};
 
 /// Weight of what the source says nothing of.
 const ORDINARY: f64 = 1.0;
 /// What a value of 1 adds to the weight of a value of 0.
 const SPAN: f64 = 99.0;
+
+/// Where weights come from: 1 is ordinary, 100 matters a hundred times as much, 0 not at all.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ImportanceSource {
+    /// A vertex attribute and its component (r, g, b, a or x, y, z, w), such as `COLOR_0.r`: floats or normalised integers. Values
+    /// in 0..=1 are the weights 1..=100; where any value is above 1, all are taken as they are. Primitives without it weigh 1.
+    Attribute(String),
+    /// A file that comes with the model, read at the uploaded texture coordinates (repeated): its first channel, linear,
+    /// 0..=1, is the weights 1..=100.
+    Texture(String),
+    /// Weights by the materials' names, each at least 0; the others weigh 1.
+    Materials(BTreeMap<String, f64>),
+}
+
+impl ImportanceSource {
+    /// What its type allows and that makes no sense, for the source at `pointer`.
+    pub fn problems(&self, pointer: &str) -> Vec<Problem> {
+        match self {
+            ImportanceSource::Attribute(name) if attribute_and_component(name).is_none() => {
+                let text = format!("`{}` is not an attribute and a component, such as COLOR_0.r", short(name));
+                vec![Problem::new(child(pointer, "attribute"), text)]
+            }
+            ImportanceSource::Texture(name) if name.is_empty() => {
+                let text = "`texture` is the name of a file that comes with the model";
+                vec![Problem::new(child(pointer, "texture"), text)]
+            }
+            ImportanceSource::Materials(weights) => {
+                let wrong = weights.iter().filter(|(_, weight)| !weight.is_finite() || **weight < 0.0);
+                let problem = |(name, weight): (&String, &f64)| {
+                    let text = format!("the weight of `{}` is {weight}; it is at least 0", short(name));
+                    Problem::new(child(&child(pointer, "materials"), name), text)
+                };
+                wrong.map(problem).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+}
 
 /// Weights at the corners of every uploaded face of an Atlas.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,7 +115,7 @@ pub(super) fn importances(
 }
 
 /// An attribute's name and the index of the component that is read, from `COLOR_0.r`; none where the text is something else.
-pub(super) fn attribute_and_component(text: &str) -> Option<(&str, usize)> {
+fn attribute_and_component(text: &str) -> Option<(&str, usize)> {
     let (name, component) = text.rsplit_once('.')?;
     let index = match component {
         "r" | "x" => 0,
@@ -217,7 +258,7 @@ fn from_materials(weights: &BTreeMap<String, f64>, subjects: &[Subject<'_>]) -> 
         let wrong = |message: String| Err(Failure::new(Code::InvalidOptions, message).at(&*at));
         if !known.contains(name) {
             let names: Vec<&str> = known.iter().map(String::as_str).collect();
-            let hint = super::parse::nearest(name, &names).map(|n| format!("; did you mean `{n}`?"));
+            let hint = crate::params::nearest(name, &names).map(|n| format!("; did you mean `{n}`?"));
             return wrong(format!("no material is called `{name}`{}", hint.unwrap_or_default()));
         }
         if !weight.is_finite() || *weight < 0.0 {

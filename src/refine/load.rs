@@ -7,6 +7,7 @@ use serde_json::Value;
 use super::group::{Group, can_join};
 use super::importance::{Importance, Subject, importances};
 use super::options::Options;
+use super::refinement::Refinement;
 use super::run::Input;
 use super::textures::exempt_uniform;
 use crate::asset::{self, Document, File, Merge, TextureSet};
@@ -36,6 +37,11 @@ pub(super) struct Model {
 }
 
 impl Loaded {
+    /// Every group before any stage.
+    pub fn untouched(&self) -> Vec<Refinement<'_>> {
+        self.groups.iter().map(Refinement::untouched).collect()
+    }
+
     /// Sets the model that warnings are about.
     pub fn speak_of(&self, model: usize, context: &Context) {
         context.speak_of(self.models.get(model).and_then(|m| m.label.as_deref()));

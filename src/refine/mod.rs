@@ -4,6 +4,7 @@ pub mod box_cutter;
 mod check;
 pub mod defrag;
 mod deliver;
+pub mod erased;
 pub mod fabrication;
 mod formats;
 mod group;
@@ -12,11 +13,15 @@ mod load;
 pub mod options;
 mod pack;
 pub mod parse;
+pub mod recipe;
+mod refinement;
 mod report;
 pub mod run;
-mod stage;
+pub mod stage;
+pub mod table;
 #[cfg(test)]
 mod tests;
 mod textures;
+mod write;
 
 pub use run::{Artifact, Input, Outcome, inspect, inspect_and_judge, refine};

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use serde_json::{Map, Value};
 
 use super::options::{IfLarger, Options};
-use super::stage::{SheetInfo, Staged};
+use super::stage::{SheetInfo, Stage, StageInput, Staged};
 use crate::atlas::{
     Atlas, ChartId, Charts, Clusters, HalfEdge, Move, OverlapMode, Topology, clusters, overlapping_charts,
 };
@@ -17,6 +17,17 @@ use crate::texture::{Overflow, Size};
 
 /// Quarter-turned charts of mipmapped textures keep to multiples of this many texels, so that mip levels 1 and 2 stay as they were.
 const MIP_LATTICE: u32 = 4;
+
+impl Stage for Pack {
+    const NAME: &'static str = "pack";
+    const DESCRIPTION: &'static str = "Places the charts as they are, better.";
+    const WEIGHT: f64 = 2.0;
+    const SHARED: bool = true;
+
+    fn run(&self, input: &StageInput<'_>) -> Result<Staged> {
+        pack(input.atlas, input.sheet_info, input.options, input.context)
+    }
+}
 
 /// Packs the charts, or the clusters of charts that share texels, on new sheets.
 ///

@@ -1,13 +1,12 @@
 //! From the work done to the report.
 
 use rayon::prelude::*;
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use super::group::{Group, Member};
 use super::importance::{Importance, material_name};
 use super::load::{Loaded, Model};
-use super::options::Stage;
-use super::textures::BakedSlot;
+use super::refinement::Refinement;
 use crate::asset::{Document, is_small};
 use crate::atlas::OverlapMode;
 use crate::atlas::{Atlas, Charts, Clusters, Topology, clusters};
@@ -15,41 +14,11 @@ use crate::context::Context;
 use crate::error::Result;
 use crate::metrics::{
     AtlasReport, ImageReport, InputReport, MeasureInputs, Measures, ModelInput, ModelReport, Report, SlotSize,
-    StageReport, TextureReport, TextureSource, measure, roll_up,
+    TextureReport, TextureSource, measure, roll_up,
 };
 use crate::texture::Slot;
 
-/// One group of texture sets on its way through the recipe.
-pub(super) struct Refinement<'a> {
-    /// As read.
-    pub group: &'a Group,
-    /// As the last stage left it.
-    pub atlas: Atlas,
-    /// Whether nothing has been changed so far: the sets stay as uploaded.
-    pub kept: bool,
-    /// What the stages said.
-    pub stages: Vec<StageReport>,
-    /// The baked images.
-    pub slots: Vec<BakedSlot>,
-}
-
-impl<'a> Refinement<'a> {
-    /// Before any stage.
-    pub fn untouched(group: &'a Group) -> Self {
-        let atlas = group.set().atlas.clone();
-        Refinement { group, atlas, kept: true, stages: Vec::new(), slots: Vec::new() }
-    }
-
-    /// Records that a stage ran.
-    pub fn ran(&mut self, stage: &Stage, stopped_by: &str, figures: Map<String, Value>) {
-        self.stages.push(StageReport {
-            stage: stage.name().to_owned(),
-            atlas_id: self.group.set().id as u64,
-            stopped_by: stopped_by.to_owned(),
-            figures,
-        });
-    }
-
+impl Refinement<'_> {
     /// Sizes of the images as uploaded, those that `pick` takes.
     fn sizes(&self, loaded: &Loaded, pick: impl Fn(&Slot) -> bool) -> Vec<SlotSize> {
         let size = |member: &Member, slot: &Slot| SlotSize {

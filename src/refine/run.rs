@@ -1,22 +1,19 @@
-//! The recipe runner: from uploaded files to a refined model, its report and its pictures.
+//! A job from uploaded files to a refined model, its report and its pictures: read, stages, bake, write, report.
 
 use serde_json::Value;
 
-use super::box_cutter::box_cutter;
-use super::defrag::defrag;
 use super::deliver::deliver;
-use super::load::load;
-use super::options::{Options, Stage};
-use super::report::{Refinement, report};
-use super::stage::{SheetInfo, Staged};
+use super::load::{Loaded, load};
+use super::options::Options;
+use super::recipe::Step;
+use super::refinement::{Refinement, STAGE_REVERTED};
+use super::report::report;
 use super::textures::{Images, bake_slots};
-use super::{check, fabrication, pack};
+use super::write::{Written, write};
 use crate::asset::{File, Limits};
-use crate::atlas::Atlas;
 use crate::context::Context;
-use crate::error::{Failure, Result, Warning};
+use crate::error::{Failure, Result};
 use crate::metrics::{Unmet, unmet};
-use crate::packing::{Gutter, Pack};
 
 /// What comes in.
 #[derive(Debug, Clone, Default)]
@@ -62,7 +59,7 @@ pub struct Outcome {
 /// Measures every atlas of the models as they are; nothing is written. Gives the report, where `before` and `after` are the same.
 ///
 /// # Errors
-/// Those of the input: see [`Code`].
+/// Those of the input: see [`Code`](crate::error::Code).
 pub fn inspect(input: &Input, options: &Options, context: &Context) -> Result<Value> {
     Ok(inspect_and_judge(input, options, context)?.0)
 }
@@ -76,8 +73,7 @@ pub fn inspect_and_judge(input: &Input, options: &Options, context: &Context) ->
     context.enter(0);
     let loaded = load(input, options, false, context)?;
     context.enter(1);
-    let refinements: Vec<Refinement> = loaded.groups.iter().map(Refinement::untouched).collect();
-    let report = report(&loaded, &refinements, false, context)?;
+    let report = report(&loaded, &loaded.untouched(), false, context)?;
     let failures = unmet(&report, &options.require)?;
     context.finish();
     Ok((serde_json::to_value(&report).map_err(|e| Failure::internal(e.to_string()))?, failures))
@@ -86,86 +82,101 @@ pub fn inspect_and_judge(input: &Input, options: &Options, context: &Context) ->
 /// Runs the recipe on the models. The texture sets of several models become one Atlas, those without images another.
 ///
 /// # Errors
-/// Those of the input and the options: see [`Code`]; `canceled`.
+/// Those of the input and the options: see [`Code`](crate::error::Code); `canceled`.
 pub fn refine(input: &Input, options: &Options, context: &Context) -> Result<Outcome> {
-    let stages = options.stages();
-    let mut plan = vec![("read", 1.0)];
-    plan.extend(stages.iter().map(|s| (s.name(), if matches!(s, Stage::Pack {}) { 2.0 } else { 8.0 })));
-    plan.extend([("bake", 2.0), ("write", 1.0)]);
-    context.plan(&plan);
-
-    context.enter(0);
-    let loaded = load(input, options, true, context)?;
-    let mut refinements: Vec<Refinement> = loaded.groups.iter().map(Refinement::untouched).collect();
-    let max_pixels = input.limits.max_image_pixels;
-    let mut run_stages = || {
-        for (n, stage) in stages.iter().enumerate() {
-            context.enter(1 + n);
-            for refinement in &mut refinements {
-                run_stage(stage, refinement, options, context)?;
-            }
-        }
-        Ok::<(), Failure>(())
-    };
-    // Stages leave threads idle, and decoders use one.
-    let images = |group| Images::new(&loaded, group, max_pixels);
-    let begin = || loaded.groups.first().map(|group| images(group).begun(context));
-    let (done, begun) = rayon::join(&mut run_stages, begin);
-    done?;
-    let mut begun = begun.filter(|_| refinements.first().is_some_and(|r| !r.kept));
-
-    context.enter(1 + stages.len());
-    let count = refinements.len();
-    for (n, r) in refinements.iter_mut().enumerate().filter(|(_, r)| !r.kept) {
-        let progress = |fraction: f64| (n as f64 + fraction) / count as f64;
-        let images = begun.take().filter(|_| n == 0).unwrap_or_else(|| images(r.group));
-        r.slots = bake_slots(images, &r.atlas, &options.texture, context, &progress)?;
-    }
-
-    context.enter(2 + stages.len());
-    let outcome = deliver(input, options, &loaded, refinements, context)?;
-    context.finish();
+    let outcome = Run::new(input, options, context).walk()?;
+    // Users get the last good state; whoever tests a stage shall hear of it.
+    debug_assert!(context.warnings().iter().all(|w| w.code != STAGE_REVERTED), "{:?}", context.warnings());
     Ok(outcome)
 }
 
-fn run_stage(stage: &Stage, refinement: &mut Refinement<'_>, options: &Options, context: &Context) -> Result<()> {
-    let group = refinement.group;
-    let sheet_info = SheetInfo { joined: group.is_joined(), ..SheetInfo::new(group.set()) };
-    // Allowances and flaps lie between the panels.
-    let roomy = options.fabrication.as_ref().map(|params| {
-        let wanted = fabrication::gutter_texels(&refinement.atlas, params).div_ceil(sheet_info.unit.max(1));
-        let gutter = Gutter::Texels(wanted.max(if options.pack.gutter == Gutter::Auto {
-            0
-        } else {
-            sheet_info.gutter(&options.pack)
-        }));
-        Options { pack: Pack { gutter, ..options.pack.clone() }, ..options.clone() }
-    });
-    let options = roomy.as_ref().unwrap_or(options);
-    let staged = match stage {
-        Stage::Pack {} => pack::pack(&refinement.atlas, &sheet_info, options, context)?,
-        Stage::Defrag(params) => defrag(&refinement.atlas, &sheet_info, params, options, context)?,
-        Stage::BoxCutter(params) => {
-            let weights: Option<Vec<[f64; 3]>> =
-                group.importance.as_ref().map(|i| refinement.atlas.provenance.iter().map(|p| i.at(p)).collect());
-            box_cutter(&refinement.atlas, &sheet_info, weights.as_deref(), params, options, context)?
+/// A job on its way through its phases. Each phase has a type for what it leaves to the next.
+pub(super) struct Run<'a> {
+    input: &'a Input,
+    options: &'a Options,
+    context: &'a Context,
+    /// The stages of the recipe.
+    steps: Vec<Step>,
+}
+
+/// What the stages leave: every Atlas as the last of them left it.
+struct Refined<'a> {
+    refinements: Vec<Refinement<'a>>,
+    /// The images that are needed first: decoded while the stages ran.
+    images: Option<Images<'a>>,
+}
+
+/// What baking leaves: every Atlas with its textures.
+struct Baked<'a> {
+    refinements: Vec<Refinement<'a>>,
+}
+
+impl<'a> Run<'a> {
+    pub(super) fn new(input: &'a Input, options: &'a Options, context: &'a Context) -> Self {
+        Run { input, options, context, steps: options.steps() }
+    }
+
+    /// All phases, one after the other.
+    pub(super) fn walk(&self) -> Result<Outcome> {
+        let mut plan = vec![("read", 1.0)];
+        plan.extend(self.steps.iter().map(|step| (step.stage.name(), step.stage.weight())));
+        plan.extend([("bake", 2.0), ("write", 1.0)]);
+        self.context.plan(&plan);
+
+        let loaded = self.read()?;
+        let refined = self.stages(&loaded)?;
+        let baked = self.bake(&loaded, refined)?;
+        let written = self.write(&loaded, baked)?;
+        let outcome = self.report(&loaded, written)?;
+        self.context.finish();
+        Ok(outcome)
+    }
+
+    fn read(&self) -> Result<Loaded> {
+        self.context.enter(0);
+        load(self.input, self.options, true, self.context)
+    }
+
+    fn images<'l>(&self, loaded: &'l Loaded, refinement: &Refinement<'l>) -> Images<'l> {
+        Images::new(loaded, refinement.group, self.input.limits.max_image_pixels)
+    }
+
+    fn stages<'l>(&self, loaded: &'l Loaded) -> Result<Refined<'l>> {
+        let mut refinements = loaded.untouched();
+        // Stages leave threads idle, and decoders use one.
+        let first = refinements.first().map(|refinement| self.images(loaded, refinement));
+        let mut run_stages = || {
+            for (n, step) in self.steps.iter().enumerate() {
+                self.context.enter(1 + n);
+                for refinement in &mut refinements {
+                    refinement.apply(step, self.options, self.context)?;
+                }
+            }
+            Ok(())
+        };
+        let (done, images) = rayon::join(&mut run_stages, || first.map(|images| images.begun(self.context)));
+        done.map(|()| Refined { refinements, images })
+    }
+
+    fn bake<'l>(&self, loaded: &'l Loaded, refined: Refined<'l>) -> Result<Baked<'l>> {
+        self.context.enter(1 + self.steps.len());
+        let Refined { mut refinements, images } = refined;
+        let mut begun = images.filter(|_| refinements.first().is_some_and(|r| !r.kept));
+        let count = refinements.len();
+        for (n, r) in refinements.iter_mut().enumerate().filter(|(_, r)| !r.kept) {
+            let progress = |fraction: f64| (n as f64 + fraction) / count as f64;
+            let images = begun.take().filter(|_| n == 0).unwrap_or_else(|| self.images(loaded, r));
+            r.slots = bake_slots(images, &r.atlas, &self.options.texture, self.context, &progress)?;
         }
-    };
-    let Staged { atlas, stopped_by, figures, kept } = staged;
-    if let Err(violation) = check::stage(&group.set().atlas, &atlas, context)? {
-        debug_assert!(false, "{}: {violation}", stage.name());
-        let message = format!("{} was undone for atlas {}: {violation}", stage.name(), sheet_info.id);
-        context.warn(Warning::new("stage_reverted", message));
-        refinement.ran(stage, "reverted", figures);
-        return Ok(());
+        Ok(Baked { refinements })
     }
-    let pixels = |a: &Atlas| a.sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
-    if options.only_if_smaller(stage) && pixels(&atlas) >= pixels(&refinement.atlas) {
-        refinement.ran(stage, "no_improvement", figures);
-        return Ok(());
+
+    fn write<'l>(&self, loaded: &'l Loaded, baked: Baked<'l>) -> Result<Written<'l>> {
+        self.context.enter(2 + self.steps.len());
+        write(loaded, baked.refinements, self.context)
     }
-    refinement.ran(stage, stopped_by, figures);
-    refinement.kept &= kept;
-    refinement.atlas = atlas;
-    Ok(())
+
+    fn report(&self, loaded: &Loaded, written: Written<'_>) -> Result<Outcome> {
+        deliver(self.input, self.options, loaded, written, self.context)
+    }
 }

@@ -1,12 +1,56 @@
-//! What every stage is given and gives back.
+//! What a stage is, and what every stage is given and gives back.
 
 use serde_json::{Map, Value};
 
+use super::importance::Importance;
+use super::options::Options;
 use crate::asset::TextureSet;
 use crate::atlas::Atlas;
 use crate::context::Context;
-use crate::error::Warning;
+use crate::error::{Result, Warning};
 use crate::packing::{Gutter, Pack};
+use crate::params::Params;
+
+/// An algorithm from Atlas to Atlas. It is its parameters; all that is known of it elsewhere (options, recipes, command line, HTTP,
+/// progress, report) follows from this and from its line in the table of stages.
+pub trait Stage: Params {
+    /// The name in options, reports and progress, in snake case.
+    const NAME: &'static str;
+    /// What it does, in one sentence.
+    const DESCRIPTION: &'static str;
+    /// Expected share of a job's work; reading the model is 1.
+    const WEIGHT: f64;
+    /// Whether its parameters are the job's own, under the same name, because other stages heed them too. In a recipe it has none then.
+    const SHARED: bool = false;
+
+    /// Refines the Atlas.
+    ///
+    /// # Errors
+    /// `too_large` when a chart fits on no sheet, `canceled`.
+    fn run(&self, input: &StageInput<'_>) -> Result<Staged>;
+}
+
+/// What a stage is given beside its parameters.
+#[derive(Clone, Copy)]
+pub struct StageInput<'a> {
+    /// The Atlas as the stage before left it.
+    pub atlas: &'a Atlas,
+    /// What may be known of its images.
+    pub sheet_info: &'a SheetInfo,
+    /// Which parts of its surface matter more, where the options say so.
+    pub importance: Option<&'a Importance>,
+    /// The job's options.
+    pub options: &'a Options,
+    /// Progress, cancellation, seed and clock.
+    pub context: &'a Context,
+}
+
+impl StageInput<'_> {
+    /// The weights at the corners of each face, where the options give weights.
+    pub fn corner_weights(&self) -> Option<Vec<[f64; 3]>> {
+        self.importance.map(|importance| self.atlas.provenance.iter().map(|p| importance.at(p)).collect())
+    }
+}
 
 /// What a stage may know of an Atlas' images: sizes and filtering, not contents.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,7 +75,7 @@ pub struct SheetInfo {
 }
 
 impl SheetInfo {
-    /// The sheet_info of a texture set.
+    /// What is known of a texture set's sheet.
     pub fn new(set: &TextureSet) -> Self {
         let ratio = |slot: &crate::texture::Slot| {
             let along =

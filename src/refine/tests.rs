@@ -1,12 +1,15 @@
 //! What the options promise of charts, sheets and textures, from files to files.
 
 mod merge;
+pub mod nudge;
 
 use glam::{DVec2, DVec3, DVec4};
 use image::DynamicImage;
 use serde_json::{Value, json};
 
 use super::pack::pack;
+use super::refinement::STAGE_REVERTED;
+use super::run::Run;
 use super::stage::SheetInfo;
 use super::{Input, Outcome, parse, refine};
 use crate::asset::ReadOptions;
@@ -61,6 +64,32 @@ fn packed(name: &str, options: Value) -> (Atlas, Atlas, Vec<String>) {
     let context = Context::silent();
     let staged = pack(&set.atlas, &SheetInfo::new(&set), &parse::options(&options).unwrap(), &context).unwrap();
     (set.atlas, staged.atlas, context.warnings().into_iter().map(|w| w.code).collect())
+}
+
+#[test]
+fn a_stage_that_breaks_an_atlas_is_undone() {
+    let input = Input { models: vec![vec![uploaded("textured")]], ..Input::default() };
+    let of = |recipe: Value| {
+        let (context, options) = (Context::silent(), parse::options(&json!({ "recipe": recipe })).unwrap());
+        let outcome = Run::new(&input, &options, &context).walk().unwrap();
+        (outcome, context.warnings())
+    };
+    let breaks = json!({"stage": "nudge", "breaks": true});
+    let (broken, warnings) = of(json!([breaks]));
+    assert_eq!(warnings.len(), 1);
+    assert_eq!(warnings[0].code, STAGE_REVERTED);
+    assert!(warnings[0].message.starts_with("nudge was undone for atlas 0: "), "{warnings:?}");
+    assert_eq!(broken.report["stages"][0], json!({"stage": "nudge", "atlas_id": 0, "stopped_by": "reverted", "by": 1}));
+    assert_eq!(model(&broken).json, document(uploaded("textured")).json, "the model is as it was");
+
+    // What the others did before and after stays.
+    let nudge = |by: u32| json!({"stage": "nudge", "by": by});
+    let (whole, _) = of(json!([nudge(2), nudge(3)]));
+    let (reverted, _) = of(json!([nudge(2), breaks, nudge(3)]));
+    let reasons: Vec<&Value> = reverted.report["stages"].as_array().unwrap().iter().map(|s| &s["stopped_by"]).collect();
+    assert_eq!(reasons, ["done", "reverted", "done"]);
+    let bytes = |outcome: &Outcome| outcome.artifacts.iter().find(|a| a.name == "model.glb").unwrap().bytes.clone();
+    assert!(bytes(&reverted) == bytes(&whole) && bytes(&whole) != bytes(&broken));
 }
 
 #[test]

@@ -2,7 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use utoipa::ToSchema;
+use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, OneOfBuilder, Type};
+use utoipa::openapi::{RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
+
+use crate::params::params;
+
+/// Longest side of a sheet that can be asked for, in texels.
+const LONGEST_SIDE: u32 = 16384;
 
 /// Size of the output sheet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,15 +42,27 @@ impl<'de> Deserialize<'de> for Size {
         }
         serde_json::from_value::<[u32; 2]>(value)
             .ok()
-            .filter(|s| s.iter().all(|n| (1..=16384).contains(n)))
+            .filter(|s| s.iter().all(|n| (1..=LONGEST_SIDE).contains(n)))
             .map(Size::Fixed)
             .ok_or_else(|| {
-                serde::de::Error::custom(
-                    "size is \"keep_density\", \"keep_size\" or [width, height], each in 1..=16384",
-                )
+                serde::de::Error::custom(format!(
+                    "size is \"keep_density\", \"keep_size\" or [width, height], each in 1..={LONGEST_SIDE}",
+                ))
             })
     }
 }
+
+impl PartialSchema for Size {
+    fn schema() -> RefOr<Schema> {
+        let named = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(["keep_density", "keep_size"]));
+        let side = ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(1)).maximum(Some(LONGEST_SIDE));
+        let fixed = ArrayBuilder::new().items(side).min_items(Some(2)).max_items(Some(2));
+        let text = "\"keep_density\", \"keep_size\", or width and height of the largest slot in texels.";
+        OneOfBuilder::new().item(named).item(fixed).description(Some(text)).into()
+    }
+}
+
+impl ToSchema for Size {}
 
 /// What happens when the charts do not fit on one sheet of `max_size`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -69,37 +88,42 @@ pub enum TextureFormat {
     Webp,
 }
 
-/// What the output textures are like.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Texture {
-    /// "keep_density", "keep_size" or [width, height] of the largest slot.
-    #[schema(value_type = Value)]
-    pub size: Size,
-    /// Sheet sides are multiples of this many texels, 1..=256.
-    pub multiple_of: u32,
-    /// Sheet sides are powers of two.
-    pub power_of_two: bool,
-    /// Longest side of a sheet in texels, 16..=16384.
-    pub max_size: u32,
-    /// What happens beyond `max_size`.
-    pub overflow: Overflow,
-    /// Format of the files.
-    pub format: TextureFormat,
-    /// Quality of JPEG files, 1..=100.
-    pub jpeg_quality: u8,
+params! {
+    /// What the output textures are like.
+    pub struct Texture {
+        /// "keep_density", "keep_size" or [width, height] of the largest slot.
+        pub size: Size = Size::KeepDensity;
+        /// Sheet sides are multiples of this many texels.
+        pub multiple_of: u32 = 4, in 1..=256;
+        /// Sheet sides are powers of two.
+        pub power_of_two: bool = false;
+        /// Longest side of a sheet in texels.
+        pub max_size: u32 = 8192, in 16..=16384;
+        /// What happens beyond `max_size`.
+        pub overflow: Overflow = Overflow::Pages;
+        /// Format of the files.
+        pub format: TextureFormat = TextureFormat::Keep;
+        /// Quality of JPEG files.
+        pub jpeg_quality: u8 = 92, in 1..=100;
+    }
 }
 
-impl Default for Texture {
-    fn default() -> Self {
-        Texture {
-            size: Size::KeepDensity,
-            multiple_of: 4,
-            power_of_two: false,
-            max_size: 8192,
-            overflow: Overflow::Pages,
-            format: TextureFormat::Keep,
-            jpeg_quality: 92,
-        }
+impl Texture {
+    /// What in a fixed `size` does not agree with the other parameters, each in a sentence.
+    pub fn conflicts(&self) -> Vec<String> {
+        let Size::Fixed(size) = self.size else { return Vec::new() };
+        let (max, multiple) = (self.max_size, self.multiple_of.max(1));
+        let conflicts = [
+            (size.iter().any(|s| *s > max), format!("`size` {size:?} exceeds `max_size` {max}")),
+            (
+                size.iter().any(|s| s % multiple != 0),
+                format!("`size` {size:?} is no multiple of `multiple_of` {multiple}"),
+            ),
+            (
+                self.power_of_two && !size.iter().all(|s| s.is_power_of_two()),
+                format!("`size` {size:?} is no power of two"),
+            ),
+        ];
+        conflicts.into_iter().filter(|(found, _)| *found).map(|(_, sentence)| sentence).collect()
     }
 }

@@ -12,7 +12,7 @@ use intarsia::atlas::OverlapMode;
 use intarsia::context::Context;
 use intarsia::packing::{Gutter, Rotation};
 use intarsia::refine::box_cutter::overlap::baseline::{Outlines, remove_overlaps_along_outlines};
-use intarsia::refine::box_cutter::params::{Cuts, Search};
+use intarsia::refine::box_cutter::params::{BoxCutter, Cuts, Search};
 use intarsia::refine::options::{IfLarger, Options, Recipe};
 use serde_json::Value;
 
@@ -89,9 +89,7 @@ fn cut(files: &[File], budget: f64, search: Search, cuts: Cuts) -> Option<Found>
     options.pack.gutter = Gutter::Texels(0);
     options.atlas.overlaps = OverlapMode::Separate;
     options.atlas.if_larger = IfLarger::Accept;
-    options.box_cutter.max_boundary_length = Some(budget);
-    options.box_cutter.search = search;
-    options.box_cutter.cuts = cuts;
+    options.stages.set(BoxCutter { max_boundary_length: Some(budget), search, cuts, ..BoxCutter::default() });
     let (outcome, seconds) = run(files.to_vec(), &options, &Context::silent()).ok()?;
     let stage = &outcome.report["stages"][0];
     let figure = |value: &Value| value.as_f64();

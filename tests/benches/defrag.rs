@@ -153,7 +153,7 @@ fn defragment(files: Vec<File>, params: &Defrag) -> Result<(Value, f64), String>
     let mut options = Options::preset("scan");
     options.pack.gutter = Gutter::Texels(8);
     options.atlas.if_larger = IfLarger::Accept;
-    options.defrag = params.clone();
+    options.stages.set(params.clone());
     let context = Context::silent();
     let (outcome, _) = run(files, &options, &context)?;
     let seconds = context.timings().iter().filter(|t| t.stage == "defrag").map(|t| t.seconds).sum();

@@ -9,7 +9,7 @@ use intarsia::asset::{File, Limits, load};
 use intarsia::context::{Context, Listener, Progress};
 use intarsia::error::Code;
 use intarsia::packing::Gutter;
-use intarsia::refine::defrag::params::Search;
+use intarsia::refine::defrag::params::{Defrag, Search};
 use intarsia::refine::options::{IfLarger, Options};
 use intarsia::refine::{Input, Outcome, refine};
 use intarsia::texture::TextureFormat;
@@ -189,7 +189,7 @@ fn one_thread_and_two_give_the_same_bytes() {
 /// Without resampling, and told so.
 fn exact(files: Vec<File>) -> Value {
     let mut options = options();
-    options.defrag.max_resampled = 0.0;
+    options.stages.set(Defrag { max_resampled: 0.0, ..Defrag::default() });
     options.atlas.if_larger = IfLarger::Accept;
     let report = run(files, &options).report;
     assert_eq!(resampled(&report), 0.0, "{:#}", report["stages"]);
@@ -229,7 +229,7 @@ fn cuts_heal_without_resampling() {
 fn the_published_search_merges_too() {
     for (name, files) in std::iter::once(("sample.scan", made("scan"))).chain(data::models(&[COPYROOM])) {
         let mut options = options();
-        options.defrag.search = Search::Paper;
+        options.stages.set(Defrag { search: Search::Paper, ..Defrag::default() });
         let report = run(files, &options).report;
         println!("{}", tell(name, &report));
         // Whole seams, whatever that resamples.

@@ -3,65 +3,52 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Parameters of the stage `defrag`. Sections are those of Maggiordomo, Cignoni and Tarini 2021.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Defrag {
-    /// How far around a seam triangles may be deformed, in displacements of the seam's vertices, 0..=100; null is 5 with `search: "paper"`
-    /// (alpha of section 4.2.2), else 3: with partial merges that leaves fewer seams and more texels whole.
-    #[schema(minimum = 0, maximum = 100)]
-    pub alpha: Option<f64>,
-    /// Largest mean of (s1 - 1)^2 + (s2 - 1)^2 over the triangles that one merge deforms, 0..=10; null is 0.5 with `search: "paper"`
-    /// (section 5), else 1.
-    #[schema(minimum = 0, maximum = 10)]
-    pub max_local_energy: Option<f64>,
-    /// The same over the whole atlas, 0..=10; null is 0.025 with `search: "paper"` (section 5), else 0.05.
-    #[schema(minimum = 0, maximum = 10)]
-    pub max_global_energy: Option<f64>,
-    /// Largest mean distance of the two sides of a seam after alignment, in lengths of the seam, 0..=100 (section 5: 2).
-    #[schema(minimum = 0, maximum = 100)]
-    pub max_misalignment: f64,
-    /// Two charts are merged only if that removes this part of the border of one of them, 0..=1 (section 5: 0.2).
-    #[schema(minimum = 0, maximum = 1)]
-    pub min_benefit: f64,
-    /// How much of the surface may be resampled, as a fraction of its area, 0..=1: 0 merges only what needs no resampling, 1 leaves the
-    /// fewest seams.
-    #[schema(minimum = 0, maximum = 1)]
-    pub max_resampled: f64,
-    /// The most of the surface that a merge may cause to be resampled, per part of all seams that it removes, 0..=1000000: merges that
-    /// turn much to remove little are not made. Not with `search: "paper"`.
-    #[schema(minimum = 0, maximum = 1000000)]
-    pub resampling_rate: f64,
-    /// How merges are chosen.
-    pub search: Search,
-    /// What ranks the operations (section 4.3; the others are those of Table 1).
-    pub appeal: Appeal,
-    /// Whether operations that failed are tried again when their charts have changed (section 4.4).
-    pub retry: bool,
-    /// Texels, squared: islands smaller than this are joined to a neighbour whatever becomes of their shape, 0..=1000000. Not with `search: "paper"`.
-    #[schema(minimum = 0, maximum = 1000000)]
-    pub island_area: f64,
-    /// Part of a chart's 3D area that must keep its texels for the chart to be placed so that it does, 0..=1 (section 4.5; there 0.05).
-    #[schema(minimum = 0, maximum = 1)]
-    pub min_preserved: f64,
+use crate::error::Result;
+use crate::params::params;
+use crate::refine::stage::{Stage, StageInput, Staged};
+
+params! {
+    /// Parameters of the stage `defrag`. Sections are those of Maggiordomo, Cignoni and Tarini 2021.
+    pub struct Defrag {
+        /// How far around a seam triangles may be deformed, in displacements of the seam's vertices; null is 5 with `search: "paper"`
+        /// (alpha of section 4.2.2), else 3: with partial merges that leaves fewer seams and more texels whole.
+        pub alpha: Option<f64> = None, in 0..=100;
+        /// Largest mean of (s1 - 1)^2 + (s2 - 1)^2 over the triangles that one merge deforms; null is 0.5 with `search: "paper"`
+        /// (section 5), else 1.
+        pub max_local_energy: Option<f64> = None, in 0..=10;
+        /// The same over the whole atlas; null is 0.025 with `search: "paper"` (section 5), else 0.05.
+        pub max_global_energy: Option<f64> = None, in 0..=10;
+        /// Largest mean distance of the two sides of a seam after alignment, in lengths of the seam (section 5: 2).
+        pub max_misalignment: f64 = 2.0, in 0..=100;
+        /// Two charts are merged only if that removes this part of the border of one of them (section 5: 0.2).
+        pub min_benefit: f64 = 0.2, in 0..=1;
+        /// How much of the surface may be resampled, as a fraction of its area: 0 merges only what needs no resampling, 1 leaves the
+        /// fewest seams.
+        pub max_resampled: f64 = 1.0, in 0..=1;
+        /// The most of the surface that a merge may cause to be resampled, per part of all seams that it removes: merges that
+        /// turn much to remove little are not made. Not with `search: "paper"`.
+        pub resampling_rate: f64 = 9.0, in 0..=1000000;
+        /// How merges are chosen.
+        pub search: Search = Search::Partial;
+        /// What ranks the operations (section 4.3; the others are those of Table 1).
+        pub appeal: Appeal = Appeal::Full;
+        /// Whether operations that failed are tried again when their charts have changed (section 4.4).
+        pub retry: bool = true;
+        /// Texels, squared: islands smaller than this are joined to a neighbour whatever becomes of their shape. Not with `search: "paper"`.
+        pub island_area: f64 = 256.0, in 0..=1000000;
+        /// Part of a chart's 3D area that must keep its texels for the chart to be placed so that it does (section 4.5; there 0.05).
+        pub min_preserved: f64 = 0.15, in 0..=1;
+    }
 }
 
-impl Default for Defrag {
-    fn default() -> Self {
-        Defrag {
-            alpha: None,
-            max_local_energy: None,
-            max_global_energy: None,
-            max_misalignment: 2.0,
-            min_benefit: 0.2,
-            max_resampled: 1.0,
-            resampling_rate: 9.0,
-            search: Search::Partial,
-            appeal: Appeal::Full,
-            retry: true,
-            island_area: 256.0,
-            min_preserved: 0.15,
-        }
+impl Stage for Defrag {
+    const NAME: &'static str = "defrag";
+    const DESCRIPTION: &'static str =
+        "Merges charts along their seams without resampling more than it must, then packs them.";
+    const WEIGHT: f64 = 8.0;
+
+    fn run(&self, input: &StageInput<'_>) -> Result<Staged> {
+        super::defrag(input.atlas, input.sheet_info, self, input.options, input.context)
     }
 }
 

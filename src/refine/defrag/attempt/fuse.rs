@@ -79,9 +79,7 @@ impl MergeTrial<'_> {
         let stays = vertices
             .iter()
             .zip(at)
-            .filter(|(u, _)| {
-                self.variant.target == Target::Kept && !self.mesh.star(**u).any(|f| self.is_moved(f))
-            })
+            .filter(|(u, _)| self.variant.target == Target::Kept && !self.mesh.star(**u).any(|f| self.is_moved(f)))
             .map(|(_, p)| *p);
         let (sum, count) = stays.fold((DVec2::ZERO, 0.0), |(s, c), p| (s + p, c + 1.0));
         match count {

@@ -66,8 +66,7 @@ fn orient(atlas: &Atlas, charts: &Charts, topology: &Topology) -> Oriented {
                 }
                 next += 1;
             }
-            let area: f64 =
-                part.iter().map(|&f| if reversed[f.index()] { -1.0 } else { 1.0 } * atlas.uv_area(f)).sum();
+            let area: f64 = part.iter().map(|&f| if reversed[f.index()] { -1.0 } else { 1.0 } * atlas.uv_area(f)).sum();
             areas[c] += area.abs();
             if area < 0.0 {
                 part.iter().for_each(|f| reversed[f.index()] ^= true);

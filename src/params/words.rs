@@ -10,18 +10,18 @@ pub fn nearest<'a>(wanted: &str, known: &[&'a str]) -> Option<&'a str> {
 }
 
 /// The JSON pointer of a key under `pointer` (RFC 6901).
-pub(super) fn child(pointer: &str, key: &str) -> String {
+pub(crate) fn child(pointer: &str, key: &str) -> String {
     format!("{pointer}/{}", short(key).replace('~', "~0").replace('/', "~1"))
 }
 
 /// The last key of a pointer.
-pub(super) fn name(pointer: &str) -> String {
+pub(crate) fn name(pointer: &str) -> String {
     let last = pointer.rsplit('/').next().unwrap_or_default();
     last.replace("~1", "/").replace("~0", "~")
 }
 
 /// What a value is, in words.
-pub(super) fn kind(value: &Value) -> &'static str {
+pub(crate) fn kind(value: &Value) -> &'static str {
     match value {
         Value::Null => "null",
         Value::Bool(_) => "a boolean",
@@ -33,7 +33,7 @@ pub(super) fn kind(value: &Value) -> &'static str {
 }
 
 /// Text from outside, cut to a length fit for a message.
-pub(super) fn short(text: &str) -> String {
+pub(crate) fn short(text: &str) -> String {
     const MOST: usize = 200;
     match text.char_indices().nth(MOST) {
         Some((end, _)) => format!("{}…", &text[..end]),

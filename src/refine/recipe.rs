@@ -1,0 +1,111 @@
+//! What a recipe is: stages in order, or the name of a preset, which is a row of a table.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::erased::ErasedStage;
+use super::table;
+
+/// Most stages of a recipe.
+pub const MAX_STAGES: usize = 32;
+
+/// A preset or a list of stages.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(untagged)]
+pub enum Recipe {
+    /// Name of a preset or of a single stage.
+    Preset(String),
+    /// Stages in order.
+    Stages(Vec<ErasedStage>),
+}
+
+/// Stages and options under a name.
+#[derive(Debug, Clone, Copy)]
+pub struct Preset {
+    /// The name.
+    pub name: &'static str,
+    /// What it does, in one sentence.
+    pub description: &'static str,
+    /// Its stages in order.
+    pub stages: &'static [PresetStage],
+    /// What the options start from, as users would write it; what users say goes on top.
+    pub options: &'static str,
+}
+
+/// A stage of a preset. Its parameters are those of its section in the options.
+#[derive(Debug, Clone, Copy)]
+pub struct PresetStage {
+    /// Name of the stage.
+    pub stage: &'static str,
+    /// Whether its result is taken only where it makes the textures smaller.
+    pub only_if_smaller: bool,
+}
+
+impl PresetStage {
+    const fn new(stage: &'static str) -> Self {
+        PresetStage { stage, only_if_smaller: false }
+    }
+}
+
+/// Charts of scans that share a few texels do so by accident, and fewer seams are a gain whatever the size. Texels that merging kept are
+/// kept: cutting neither welds nor removes overlaps.
+const FOR_SCANS: &str = r#"{"atlas": {"overlaps": "separate", "if_larger": "accept"},
+    "box_cutter": {"max_boundary_length": 1.3, "remove_overlaps": false, "weld": false}}"#;
+
+/// The presets. A stage alone is a recipe too, under its own name.
+pub const PRESETS: &[Preset] = &[
+    Preset {
+        name: "scan",
+        description: "For photogrammetry: merges charts, each placed for itself, and packs them tightly.",
+        stages: &[PresetStage::new("defrag")],
+        options: FOR_SCANS,
+    },
+    Preset {
+        name: "scan_tight",
+        description: "The same, then cuts charts within a budget of boundary length where that makes the textures smaller still.",
+        stages: &[PresetStage::new("defrag"), PresetStage { stage: "box_cutter", only_if_smaller: true }],
+        options: FOR_SCANS,
+    },
+    // Panels are cut from sheets of material: any turn, never mirrored, every panel once.
+    Preset {
+        name: "fabrication",
+        description: "Cuts and packs 2D panels for sheets of material, without overlaps, and draws them as SVG with seam allowances or flaps.",
+        stages: &[PresetStage::new("box_cutter")],
+        options: r#"{"pack": {"rotation": "any", "mirror": false}, "atlas": {"overlaps": "separate", "if_larger": "accept"},
+            "fabrication": {}}"#,
+    },
+];
+
+/// Stages of the contract that this version does not have yet.
+const LATER: &[&str] = &["optcuts", "bounded"];
+
+/// The preset of that name.
+pub fn preset(name: &str) -> Option<&'static Preset> {
+    PRESETS.iter().find(|preset| preset.name == name)
+}
+
+/// All that `recipe` can name, each with what it does: the stages, then the presets.
+pub fn recipes() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let stages = table::all().map(|stage| (stage.name(), stage.description()));
+    stages.chain(PRESETS.iter().map(|preset| (preset.name, preset.description)))
+}
+
+/// Whether a stage of that name is to come.
+pub(super) fn is_later(name: &str) -> bool {
+    LATER.contains(&name) && table::find(name).is_none()
+}
+
+/// A stage that is about to run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// The stage with its parameters.
+    pub stage: ErasedStage,
+    /// Whether its result is taken only where it makes the textures smaller.
+    pub only_if_smaller: bool,
+}
+
+impl From<ErasedStage> for Step {
+    fn from(stage: ErasedStage) -> Self {
+        Step { stage, only_if_smaller: false }
+    }
+}

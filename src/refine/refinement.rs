@@ -1,0 +1,93 @@
+//! One Atlas on its way through the stages of a recipe.
+
+use serde_json::{Map, Value};
+
+use super::group::Group;
+use super::options::Options;
+use super::recipe::Step;
+use super::stage::{SheetInfo, StageInput, Staged};
+use super::textures::BakedSlot;
+use super::{check, fabrication};
+use crate::atlas::Atlas;
+use crate::context::Context;
+use crate::error::{Result, Warning};
+use crate::metrics::StageReport;
+use crate::packing::{Gutter, Pack};
+
+/// Code of the warning that a stage broke an Atlas and was undone.
+pub(super) const STAGE_REVERTED: &str = "stage_reverted";
+
+/// One group of texture sets on its way through the recipe.
+pub(super) struct Refinement<'a> {
+    /// As read.
+    pub group: &'a Group,
+    /// As the last stage left it; as it was read back, once it is written.
+    pub atlas: Atlas,
+    /// Whether nothing has been changed so far: the sets stay as uploaded.
+    pub kept: bool,
+    /// What the stages said.
+    pub stages: Vec<StageReport>,
+    /// The images, once they are baked.
+    pub slots: Vec<BakedSlot>,
+}
+
+impl<'a> Refinement<'a> {
+    /// Before any stage.
+    pub fn untouched(group: &'a Group) -> Self {
+        let atlas = group.set().atlas.clone();
+        Refinement { group, atlas, kept: true, stages: Vec::new(), slots: Vec::new() }
+    }
+
+    /// Runs a stage. A result that fails its check is not taken, nor one that had to be smaller and is not.
+    ///
+    /// # Errors
+    /// Those of the stage, `canceled`.
+    pub fn apply(&mut self, step: &Step, options: &Options, context: &Context) -> Result<()> {
+        let set = self.group.set();
+        let sheet_info = SheetInfo { joined: self.group.is_joined(), ..SheetInfo::new(set) };
+        let roomy = self.with_room_for_panels(&sheet_info, options);
+        let input = StageInput {
+            atlas: &self.atlas,
+            sheet_info: &sheet_info,
+            importance: self.group.importance.as_ref(),
+            options: roomy.as_ref().unwrap_or(options),
+            context,
+        };
+        let Staged { atlas, stopped_by, figures, kept } = step.stage.run(&input)?;
+        let name = step.stage.name();
+        if let Err(violation) = check::stage(&set.atlas, &atlas, context)? {
+            let message = format!("{name} was undone for atlas {}: {violation}", sheet_info.id);
+            context.warn(Warning::new(STAGE_REVERTED, message));
+            self.ran(name, "reverted", figures);
+            return Ok(());
+        }
+        let pixels = |a: &Atlas| a.sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
+        if step.only_if_smaller && pixels(&atlas) >= pixels(&self.atlas) {
+            self.ran(name, "no_improvement", figures);
+            return Ok(());
+        }
+        self.ran(name, stopped_by, figures);
+        self.kept &= kept;
+        self.atlas = atlas;
+        Ok(())
+    }
+
+    /// The options with a gutter that holds what is drawn between panels: allowances and flaps. None where no panels are drawn.
+    fn with_room_for_panels(&self, sheet_info: &SheetInfo, options: &Options) -> Option<Options> {
+        let params = options.fabrication.as_ref()?;
+        let wanted = fabrication::gutter_texels(&self.atlas, params).div_ceil(sheet_info.unit.max(1));
+        let least = if options.pack.gutter == Gutter::Auto { 0 } else { sheet_info.gutter(&options.pack) };
+        let gutter = Gutter::Texels(wanted.max(least));
+        Some(Options { pack: Pack { gutter, ..options.pack.clone() }, ..options.clone() })
+    }
+
+    /// Records that a stage ran.
+    fn ran(&mut self, stage: &str, stopped_by: &str, figures: Map<String, Value>) {
+        self.stages.push(StageReport {
+            stage: stage.to_owned(),
+            atlas_id: self.group.set().id as u64,
+            stopped_by: stopped_by.to_owned(),
+            figures,
+        });
+    }
+}
