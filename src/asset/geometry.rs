@@ -8,15 +8,15 @@ use glam::{DVec2, DVec3};
 use super::Document;
 use super::accessor::{accessor_count, read_indices, read_vec2, read_vec3};
 use super::json::{array, index};
-use super::scan::primitive_pointer;
-use super::transform::{Layout, Transform};
+use super::material_index::primitive_pointer;
+use super::transform::{TextureTransform, UvLayout};
 use crate::atlas::{Atlas, UvId, VertexId};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
 
 /// A primitive's triangles, with what an Atlas needs of its vertices.
 #[derive(Debug)]
-pub(crate) struct Geometry {
+pub(crate) struct PrimitiveGeometry {
     /// Index into `/meshes`: vertices of different meshes are never welded.
     pub(crate) mesh: usize,
     /// Accessors of positions and UVs.
@@ -26,22 +26,22 @@ pub(crate) struct Geometry {
     /// UV by glTF vertex, finite, as stored.
     pub(crate) uvs: Rc<Vec<[f32; 2]>>,
     /// What is done to the UVs before a texture is read.
-    pub(crate) transform: Transform,
+    pub(crate) transform: TextureTransform,
     /// glTF vertices of each triangle.
     pub(crate) corners: Vec<[u32; 3]>,
 }
 
 /// Reads primitives; accessors that several share are read once.
-pub(crate) struct Reader<'a> {
+pub(crate) struct GeometryReader<'a> {
     doc: &'a Document,
     positions: HashMap<usize, Rc<Vec<[f32; 3]>>>,
     uvs: HashMap<usize, Rc<Vec<[f32; 2]>>>,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> GeometryReader<'a> {
     /// A reader of `doc`.
     pub(crate) fn new(doc: &'a Document) -> Self {
-        Reader { doc, positions: HashMap::new(), uvs: HashMap::new() }
+        GeometryReader { doc, positions: HashMap::new(), uvs: HashMap::new() }
     }
 
     /// Triangles, positions and texture coordinates of a triangle primitive.
@@ -53,10 +53,10 @@ impl<'a> Reader<'a> {
         &mut self,
         mesh: usize,
         primitive: usize,
-        layout: Layout,
+        layout: UvLayout,
         context: &Context,
-    ) -> Result<Geometry> {
-        let Layout { uv_set, transform } = layout;
+    ) -> Result<PrimitiveGeometry> {
+        let UvLayout { uv_set, transform } = layout;
         context.check()?;
         let pointer = primitive_pointer(mesh, primitive);
         let value = self.doc.json.pointer(&pointer);
@@ -90,7 +90,7 @@ impl<'a> Reader<'a> {
             let text = format!("{} indices are no whole number of triangles: the last are ignored", order.len());
             context.warn(Warning::new("trailing_indices", text).at(pointer));
         }
-        Ok(Geometry { mesh, accessors: (p, t), positions, uvs, transform, corners: triangles(mode, &order) })
+        Ok(PrimitiveGeometry { mesh, accessors: (p, t), positions, uvs, transform, corners: triangles(mode, &order) })
     }
 }
 
@@ -152,20 +152,24 @@ type Ids = (u32, u32);
 
 /// Ids by glTF vertex. A thousand meshes may each use three vertices of an accessor of millions: those that use few are
 /// hashed.
-enum Table {
+enum VertexIds {
     Dense(Vec<Ids>),
     Few(HashMap<u32, Ids>),
 }
 
-impl Table {
+impl VertexIds {
     fn new(vertices: usize, faces: usize) -> Self {
-        if faces < vertices / 16 { Table::Few(HashMap::new()) } else { Table::Dense(vec![(u32::MAX, 0); vertices]) }
+        if faces < vertices / 16 {
+            VertexIds::Few(HashMap::new())
+        } else {
+            VertexIds::Dense(vec![(u32::MAX, 0); vertices])
+        }
     }
 
     fn get_or_insert_with(&mut self, vertex: u32, make: impl FnOnce() -> Ids) -> &Ids {
         match self {
-            Table::Few(known) => known.entry(vertex).or_insert_with(make),
-            Table::Dense(known) => {
+            VertexIds::Few(known) => known.entry(vertex).or_insert_with(make),
+            VertexIds::Dense(known) => {
                 let ids = &mut known[vertex as usize];
                 if ids.0 == u32::MAX {
                     *ids = make();
@@ -181,7 +185,7 @@ impl Table {
 ///
 /// # Errors
 /// `too_large` when 32 bits cannot count the corners.
-pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -> Result<Atlas> {
+pub(crate) fn weld(primitives: &[PrimitiveGeometry], size: [u32; 2], context: &Context) -> Result<Atlas> {
     let faces: usize = primitives.iter().map(|g| g.corners.len()).sum();
     if faces >= (u32::MAX / 3) as usize {
         return Err(too_many());
@@ -192,12 +196,12 @@ pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -
     let mut vertices: HashMap<(usize, [u32; 3]), u32> = HashMap::new();
     let mut uvs: HashMap<(u32, [u64; 2]), u32> = HashMap::new();
     // By mesh, accessors and transform: the ids of each glTF vertex, once it is used.
-    let mut tables: HashMap<(usize, (usize, usize), Transform), Table> = HashMap::new();
+    let mut tables: HashMap<(usize, (usize, usize), TextureTransform), VertexIds> = HashMap::new();
     for geometry in primitives {
         context.check()?;
         let known = tables
             .entry((geometry.mesh, geometry.accessors, geometry.transform))
-            .or_insert_with(|| Table::new(geometry.positions.len(), geometry.corners.len()));
+            .or_insert_with(|| VertexIds::new(geometry.positions.len(), geometry.corners.len()));
         for corners in &geometry.corners {
             let mut ids = [(0, 0); 3];
             for (id, &v) in ids.iter_mut().zip(corners) {

@@ -1,13 +1,15 @@
 //! glTF and OBJ in and out, without losing what is not understood.
 //!
 //! [`Document`] is a glTF document as `serde_json::Value` with its buffers and image files in memory;
-//! OBJ is turned into one at the door, so that there is one way through the house. [`TextureSet`] is one
+//! OBJ is converted to one while it is loaded, so that everything after sees glTF alone. [`TextureSet`] is one
 //! Atlas with what is needed to bake its images and write it back.
 
 mod accessor;
+mod accessor_layout;
 mod accessor_type;
 mod append;
 mod archive;
+mod buffers;
 mod compression;
 mod estimate;
 mod glb;
@@ -18,13 +20,11 @@ mod nodes;
 mod obj;
 mod options;
 mod prune;
-mod resolve;
 pub mod sample;
 mod save;
 mod side_files;
 mod side_names;
 mod sources;
-mod structure;
 mod upload;
 mod uri;
 
@@ -47,18 +47,18 @@ pub(crate) use side_names::by_name as image_type;
 #[cfg(test)]
 pub(crate) mod fixture;
 mod geometry;
-mod home;
 mod json;
+mod material_index;
 mod read;
-mod scan;
 mod sets;
 mod transform;
+mod uv_tiles;
 mod write;
 
 pub use read::read;
 pub(crate) use sets::grid;
 pub use sets::{is_small, mark_uniform, small_slot_warning};
-pub use transform::{Layout, Transform};
+pub use transform::{TextureTransform, UvLayout};
 #[cfg(test)]
 pub(crate) use write::tangents::generate as mikktspace;
 pub use write::{BakedImage, Refined, read_back, write};
@@ -102,7 +102,7 @@ pub struct PrimitiveRef {
     /// Index into `/materials`.
     pub material: Option<usize>,
     /// The layout that is refined: the TEXCOORD set that is read, and its texture transform.
-    pub layout: Layout,
+    pub layout: UvLayout,
     /// Number of the TEXCOORD set that takes the new layout: the one that is read, or a new one where something else reads it on.
     pub written: usize,
     /// First face of the primitive in the Atlas as uploaded; its faces are contiguous.
@@ -122,7 +122,7 @@ pub struct TextureSet {
     pub id: usize,
     /// Name for people: the materials' names, or the model's.
     pub name: String,
-    /// The Atlas as uploaded, charts brought home; one face for each triangle of each primitive, in order.
+    /// The Atlas as uploaded, UV tiles normalised; one face for each triangle of each primitive, in order.
     pub atlas: Atlas,
     /// Size of the reference sheet: the size of the largest slot (or a virtual 1024 x 1024).
     pub reference: [u32; 2],

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::resolve::is_handled;
+use super::buffers::is_handled;
 
 /// Extensions that are not handled but are known to refer to neither accessors nor buffer views.
 const HARMLESS: [&str; 4] = ["EXT_texture_avif", "KHR_animation_pointer", "KHR_node_visibility", "KHR_xmp_json_ld"];

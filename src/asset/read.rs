@@ -1,9 +1,9 @@
 //! From a document to its texture sets.
 
-use super::geometry::{Geometry, Reader, weld};
-use super::home::{bring_home, leaves_tile};
-use super::scan::{Scan, scan};
+use super::geometry::{GeometryReader, PrimitiveGeometry, weld};
+use super::material_index::MaterialIndex;
 use super::sets::{Planned, grid, plan, written_set};
+use super::uv_tiles::{leaves_tile, normalise_tiles};
 use super::{Document, PrimitiveRef, ReadOptions, TextureSet};
 use crate::atlas::{Atlas, FaceId, Provenance};
 use crate::context::Context;
@@ -19,11 +19,11 @@ const LONGEST_NAME: usize = 60;
 /// `invalid_model` with a pointer for indices out of range, attribute counts that differ and numbers that are not
 /// finite; `too_large` when 32 bits cannot count the corners; `canceled`.
 pub fn read(doc: &Document, options: ReadOptions, context: &Context) -> Result<Vec<TextureSet>> {
-    let scan = scan(doc)?;
-    let mut reader = Reader::new(doc);
+    let index = MaterialIndex::new(doc)?;
+    let mut reader = GeometryReader::new(doc);
     let mut sets = Vec::new();
-    for planned in plan(doc, &scan, options.uv_set as usize, context)? {
-        if let Some(set) = read_set(doc, &scan, planned, sets.len(), options, &mut reader, context)? {
+    for planned in plan(doc, &index, options.uv_set as usize, context)? {
+        if let Some(set) = read_set(doc, &index, planned, sets.len(), options, &mut reader, context)? {
             sets.push(set);
         }
     }
@@ -32,16 +32,16 @@ pub fn read(doc: &Document, options: ReadOptions, context: &Context) -> Result<V
 
 fn read_set(
     doc: &Document,
-    scan: &Scan,
+    index: &MaterialIndex,
     planned: Planned,
     id: usize,
     options: ReadOptions,
-    reader: &mut Reader<'_>,
+    reader: &mut GeometryReader<'_>,
     context: &Context,
 ) -> Result<Option<TextureSet>> {
-    let mut geometries: Vec<Geometry> = Vec::new();
+    let mut geometries: Vec<PrimitiveGeometry> = Vec::new();
     for &(p, layout) in &planned.primitives {
-        let primitive = &scan.primitives[p];
+        let primitive = &index.primitives[p];
         geometries.push(reader.read(primitive.mesh, primitive.primitive, layout, context)?);
     }
     let mut atlas = weld(&geometries, planned.reference, context)?;
@@ -54,7 +54,7 @@ fn read_set(
         atlas.provenance.extend(faces.map(|f| Provenance::whole(FaceId::new(f), i as u32)));
     }
     let left = |warning: Warning| {
-        let first = planned.primitives.first().map(|&(p, _)| &scan.primitives[p]);
+        let first = planned.primitives.first().map(|&(p, _)| &index.primitives[p]);
         let at = planned.slots.first().map(|s| format!("/images/{}", s.image));
         let at = at.or_else(|| first.map(|p| p.pointer())).unwrap_or_default();
         context.warn(if warning.pointer.is_some() { warning } else { warning.at(at) });
@@ -65,21 +65,21 @@ fn read_set(
         return left(Warning::new("sampler_conflict", text).at(format!("/images/{image}")));
     }
     let constant = !planned.slots.is_empty() && planned.slots.iter().all(|s| doc.merging.constants.contains(&s.image));
-    if let Err(warning) = bring_home(&mut atlas, &planned.slots, planned.reference, options.tiling, constant) {
+    if let Err(warning) = normalise_tiles(&mut atlas, &planned.slots, planned.reference, options.tiling, constant) {
         return left(warning);
     }
     let mut primitives = Vec::new();
     let mut first_face = 0;
     for (geometry, &(p, layout)) in geometries.into_iter().zip(&planned.primitives) {
-        let scanned = &scan.primitives[p];
-        let value = doc.json.pointer(&scanned.pointer()).unwrap_or(&serde_json::Value::Null);
+        let indexed = &index.primitives[p];
+        let value = doc.json.pointer(&indexed.pointer()).unwrap_or(&serde_json::Value::Null);
         let face_count = geometry.corners.len();
         primitives.push(PrimitiveRef {
-            mesh: scanned.mesh,
-            primitive: scanned.primitive,
-            material: scanned.default_material,
+            mesh: indexed.mesh,
+            primitive: indexed.primitive,
+            material: indexed.default_material,
             layout,
-            written: written_set(scan, value, &scanned.materials, layout),
+            written: written_set(index, value, &indexed.materials, layout),
             first_face,
             face_count,
             animated: is_animated(value),
@@ -89,7 +89,7 @@ fn read_set(
     }
     atlas.page = vec![0; atlas.corners.len()];
     atlas.sheets = vec![planned.reference];
-    let name = name(doc, scan, &planned);
+    let name = name(doc, index, &planned);
     let grid = grid(planned.reference, &planned.slots);
     let Planned { slots, reference, .. } = planned;
     Ok(Some(TextureSet { id, name, atlas, reference, primitives, slots, grid }))
@@ -111,11 +111,11 @@ fn is_animated(primitive: &serde_json::Value) -> bool {
 }
 
 /// The materials' names, each once, or the model's.
-fn name(doc: &Document, scan: &Scan, planned: &Planned) -> String {
+fn name(doc: &Document, index: &MaterialIndex, planned: &Planned) -> String {
     let mut names: Vec<&str> = Vec::new();
     let mut length = 0;
-    let materials = planned.primitives.iter().flat_map(|&(p, _)| &scan.primitives[p].materials);
-    for name in materials.filter_map(|&m| scan.materials.get(m)?.name.as_deref()) {
+    let materials = planned.primitives.iter().flat_map(|&(p, _)| &index.primitives[p].materials);
+    for name in materials.filter_map(|&m| index.materials.get(m)?.name.as_deref()) {
         if !names.contains(&name) && length < LONGEST_NAME {
             length += name.chars().count();
             names.push(name);
@@ -215,9 +215,9 @@ mod tests {
         };
         let info = "/materials/0/pbrMetallicRoughness/baseColorTexture";
         assert_eq!(change(&format!("{info}/texCoord"), json!(1)), [format!("other_uv_set {info}")]);
-        let brushed = json!({ "KHR_materials_anisotropy": { "anisotropyStrength": 0.5 } });
+        let untextured_anisotropy = json!({ "KHR_materials_anisotropy": { "anisotropyStrength": 0.5 } });
         let expected = "anisotropy_without_texture /materials/0";
-        assert_eq!(change("/materials/0/extensions", brushed), [expected]);
+        assert_eq!(change("/materials/0/extensions", untextured_anisotropy), [expected]);
         let huge = json!({ "KHR_texture_transform": { "scale": [1e300, 1e300], "offset": [1e308, 0] } });
         assert_eq!(change(&format!("{info}/extensions"), huge), ["uv_out_of_range /images/0"]);
         let at = "/meshes/0/primitives/0/extensions";

@@ -1,8 +1,8 @@
-//! Compressed geometry, taken apart at the door: what comes after sees an ordinary document.
+//! Compressed geometry, decompressed while a model is loaded: what comes after sees an ordinary document.
 //!
 //! [`views`] decodes buffer views (EXT_meshopt_compression, KHR_meshopt_compression), [`primitives`] primitives
 //! (KHR_draco_mesh_compression). Indices of buffer views and accessors stay; decoded bytes are appended to a buffer, the
-//! extensions are removed, and the model is written uncompressed, which a warning tells once for each of them.
+//! extensions are removed, and the model is written uncompressed, as a warning for each of them says.
 
 mod draco;
 mod meshopt;

@@ -3,8 +3,8 @@
 use serde_json::Value;
 
 use crate::asset::Document;
+use crate::asset::accessor_layout::view;
 use crate::asset::prune::is_understood;
-use crate::asset::structure::view;
 
 /// Leaves of a buffer what buffer views name, in the same order and on the same 16-byte boundaries. Does nothing where
 /// an extension might name bytes unseen, or a view is broken, which others tell.

@@ -7,15 +7,15 @@ use sha2::{Digest, Sha256};
 
 use crate::asset::Document;
 use crate::asset::json::{array, object_mut};
-use crate::asset::scan::{SOURCES, Scan, scan};
+use crate::asset::material_index::{MaterialIndex, SOURCES};
 use crate::error::Result;
 
 /// Textures name the first of images with equal bytes.
-pub(super) fn images(doc: &mut Document, scan: &Scan) {
+pub(super) fn images(doc: &mut Document, index: &MaterialIndex) {
     let mut first: BTreeMap<[u8; 32], usize> = BTreeMap::new();
     let mut same: Vec<usize> = (0..doc.images.len()).collect();
     for (i, bytes) in doc.images.iter().enumerate() {
-        if let Some(bytes) = bytes.as_ref().filter(|_| !scan.named_images.contains(&i)) {
+        if let Some(bytes) = bytes.as_ref().filter(|_| !index.named_images.contains(&i)) {
             same[i] = *first.entry(Sha256::digest(bytes).into()).or_insert(i);
         }
     }
@@ -54,13 +54,13 @@ pub(super) fn samplers(doc: &mut Document) {
 /// # Errors
 /// `invalid_model` for a broken texture info.
 pub(super) fn textures(doc: &mut Document) -> Result<()> {
-    let scan = scan(doc)?;
+    let index = MaterialIndex::new(doc)?;
     let (same, first) = firsts(array(&doc.json, "textures"));
     let mut number = vec![None; same.len()];
     for (n, texture) in first.iter().enumerate() {
         number[*texture] = Some(n as u64);
     }
-    for (m, material) in scan.materials.iter().enumerate() {
+    for (m, material) in index.materials.iter().enumerate() {
         for used in &material.uses {
             let new = same.get(used.texture).and_then(|t| number[*t]);
             if let Some(new) = new.filter(|n| *n != used.texture as u64) {

@@ -19,8 +19,8 @@ use serde_json::Value;
 
 use super::Document;
 use super::json::array;
+use super::material_index::MaterialIndex;
 use super::prune;
-use super::scan::{Scan, scan};
 use super::sources::{drop_images, each_source};
 use crate::error::{Failure, Result};
 
@@ -63,7 +63,7 @@ pub struct MergedMaterial {
     pub kept: Option<String>,
 }
 
-/// A document on its way through merging.
+/// A document between [`prepare`] and [`finish`].
 #[derive(Debug, Clone)]
 pub struct Merge(Merged);
 
@@ -87,10 +87,10 @@ pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
     if !prune::is_understood(&doc.json) || channels.any(|c| c.pointer("/target/extensions").is_some()) {
         return Ok(None);
     }
-    let scan = scan(doc)?;
+    let index = MaterialIndex::new(doc)?;
     let mut merged = Merged::default();
     merged.draw_calls.before = draw_calls(&doc.json);
-    [merged.images.before, merged.textures.before] = read_by_materials(&scan);
+    [merged.images.before, merged.textures.before] = read_by_materials(&index);
     let materials = array(&doc.json, "materials").iter().enumerate();
     merged.materials = materials
         .map(|(i, value)| MergedMaterial {
@@ -103,7 +103,7 @@ pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
         })
         .collect();
     let named = named_by_textures(doc);
-    equal::images(doc, &scan);
+    equal::images(doc, &index);
     let left = named_by_textures(doc);
     doc.merging.spare = named.difference(&left).copied().collect();
     equal::textures(doc)?;
@@ -132,9 +132,9 @@ pub fn finish(doc: &mut Document, merge: Merge) -> Result<Merged> {
     if join::drawn(doc)? != drawn {
         return Err(Failure::internal("joining draw calls lost triangles or changed what they read"));
     }
-    let scan = scan(doc)?;
+    let index = MaterialIndex::new(doc)?;
     merged.draw_calls.after = draw_calls(&doc.json);
-    [merged.images.after, merged.textures.after] = read_by_materials(&scan);
+    [merged.images.after, merged.textures.after] = read_by_materials(&index);
     Ok(merged)
 }
 
@@ -146,11 +146,11 @@ fn named_by_textures(doc: &mut Document) -> BTreeSet<usize> {
 }
 
 /// Images and textures that the primitives' materials read.
-fn read_by_materials(scan: &Scan) -> [u64; 2] {
-    let used: BTreeSet<usize> = scan.primitives.iter().flat_map(|p| p.materials.iter().copied()).collect();
-    let uses = used.iter().filter_map(|m| scan.materials.get(*m)).flat_map(|m| &m.uses);
+fn read_by_materials(index: &MaterialIndex) -> [u64; 2] {
+    let used: BTreeSet<usize> = index.primitives.iter().flat_map(|p| p.materials.iter().copied()).collect();
+    let uses = used.iter().filter_map(|m| index.materials.get(*m)).flat_map(|m| &m.uses);
     let textures: BTreeSet<usize> = uses.map(|u| u.texture).collect();
-    let images: BTreeSet<usize> = textures.iter().filter_map(|t| scan.textures.get(*t)?.image).collect();
+    let images: BTreeSet<usize> = textures.iter().filter_map(|t| index.textures.get(*t)?.image).collect();
     [images.len() as u64, textures.len() as u64]
 }
 

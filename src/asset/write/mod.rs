@@ -27,7 +27,7 @@ use super::accessor::RawAccessor;
 use super::append::ELEMENT_ARRAY_BUFFER;
 use super::geometry::vertex_count;
 use super::json::{array, array_mut, object_mut};
-use super::scan::{primitive_pointer, scan};
+use super::material_index::{MaterialIndex, primitive_pointer};
 use super::{Document, PrimitiveRef, TextureSet};
 use crate::atlas::{Atlas, FaceId};
 use crate::context::Context;
@@ -67,9 +67,9 @@ pub struct BakedImage {
 /// `invalid_model` for attributes of differing counts, `too_large` when the vertices grow beyond what a GLB can hold,
 /// `internal` where a set does not belong to the document or an image of it is missing, `canceled`.
 pub fn write(doc: &Document, sets: &[Refined<'_>], context: &Context) -> Result<Document> {
-    let scan = scan(doc)?;
+    let index = MaterialIndex::new(doc)?;
     let mut out = doc.clone();
-    let mut textures = Textures::new(&scan, sets, array(&doc.json, "images").len());
+    let mut textures = Textures::new(&index, sets, array(&doc.json, "images").len());
     textures.place_images(&mut out)?;
     let faces: Vec<Vec<Vec<FaceId>>> = sets.iter().map(|s| faces_of(s.set, s.atlas)).collect::<Result<_>>()?;
     let lost: Vec<Vec<bool>> =

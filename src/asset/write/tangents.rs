@@ -13,7 +13,7 @@ use super::vertices::{Point, Points};
 use super::{Refined, reads_directions, uploaded};
 use crate::asset::accessor::{read_vec2, read_vec3};
 use crate::asset::json::{array, index};
-use crate::asset::scan::primitive_pointer;
+use crate::asset::material_index::primitive_pointer;
 use crate::asset::{Document, PrimitiveRef};
 use crate::atlas::{Atlas, FaceId, Topology};
 use crate::error::Result;
@@ -66,7 +66,7 @@ pub(crate) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Optio
     let (Some(positions), Some(normals), Some(uvs)) = (find("POSITION")?, find("NORMAL")?, find(&name)?) else {
         return Ok(None);
     };
-    let mut mesh = Mesh {
+    let mut mesh = TangentMesh {
         corners: &primitive.corners,
         positions: read_vec3(doc, positions)?,
         normals: read_vec3(doc, normals)?,
@@ -84,7 +84,7 @@ pub(crate) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Optio
     Ok(Some(mesh.tangents))
 }
 
-struct Mesh<'a> {
+struct TangentMesh<'a> {
     corners: &'a [[u32; 3]],
     positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
@@ -92,13 +92,13 @@ struct Mesh<'a> {
     tangents: Vec<[Tangent; 3]>,
 }
 
-impl Mesh<'_> {
+impl TangentMesh<'_> {
     fn vertex(&self, face: usize, corner: usize) -> usize {
         self.corners[face][corner] as usize
     }
 }
 
-impl Geometry for Mesh<'_> {
+impl Geometry for TangentMesh<'_> {
     fn num_faces(&self) -> usize {
         self.corners.len()
     }

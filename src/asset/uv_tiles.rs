@@ -1,4 +1,4 @@
-//! Charts come home: from other tiles of a repeated texture into the first.
+//! UV tiles: charts in other tiles of a repeated texture are normalised to the first.
 
 use glam::DVec2;
 
@@ -28,7 +28,7 @@ const MOST_VIRTUAL_SHEETS: f64 = 64.0;
 /// # Errors
 /// The warning with which the set passes through: a palette, or a chart that repeats its texture and may or can
 /// not be baked out.
-pub(crate) fn bring_home(
+pub(crate) fn normalise_tiles(
     atlas: &mut Atlas,
     slots: &[Slot],
     sheet: [u32; 2],
@@ -62,9 +62,9 @@ pub(crate) fn bring_home(
     for axis in 0..2 {
         // Two tiles where an odd one is mirrored.
         for (wrap, tile) in [(Wrap::Repeat, size[axis]), (Wrap::MirroredRepeat, 2.0 * size[axis])] {
-            let own: Vec<usize> = (0..charts.len()).filter(|&c| wraps[c][axis] == Reach::All(wrap)).collect();
+            let own: Vec<usize> = (0..charts.len()).filter(|&c| wraps[c][axis] == WrapUse::All(wrap)).collect();
             let middles: Vec<f64> = own.iter().map(|&c| 0.5 * (boxes[c].0[axis] + boxes[c].1[axis])).collect();
-            for (&chart, tiles) in own.iter().zip(tiles_from_home(&middles, tile)) {
+            for (&chart, tiles) in own.iter().zip(tile_offsets(&middles, tile)) {
                 shifts[chart][axis] = -tiles * tile;
             }
         }
@@ -103,7 +103,7 @@ pub(crate) fn leaves_tile(mut uvs: impl Iterator<Item = DVec2>, sheet: [u32; 2])
 /// How many tiles each chart is away, told by its middle: one that lies across a border by a little stays with those
 /// that it shares texels with. Charts whose middles span less than a tile have no copies in other tiles, and move
 /// together or not at all.
-fn tiles_from_home(middles: &[f64], tile: f64) -> Vec<f64> {
+fn tile_offsets(middles: &[f64], tile: f64) -> Vec<f64> {
     let (low, high) = middles.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
     if high - low < tile - SLACK {
         return vec![(0.5 * (low + high) / tile).floor(); middles.len()];
@@ -114,7 +114,7 @@ fn tiles_from_home(middles: &[f64], tile: f64) -> Vec<f64> {
 
 /// How the images of a chart are read beyond their edges, on one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Reach {
+enum WrapUse {
     /// No image is read.
     Nothing,
     /// All in the same way.
@@ -123,34 +123,34 @@ enum Reach {
     Mixed,
 }
 
-impl Reach {
-    fn and(self, other: Reach) -> Reach {
+impl WrapUse {
+    fn and(self, other: WrapUse) -> WrapUse {
         match (self, other) {
-            (Reach::Nothing, reach) | (reach, Reach::Nothing) => reach,
+            (WrapUse::Nothing, other) | (other, WrapUse::Nothing) => other,
             (a, b) if a == b => a,
-            _ => Reach::Mixed,
+            _ => WrapUse::Mixed,
         }
     }
 }
 
 /// The wrap modes (S, T) of every chart, over all slots and primitives.
-fn chart_wraps(atlas: &Atlas, charts: &Charts, slots: &[Slot]) -> Vec<[Reach; 2]> {
-    let both = |a: [Reach; 2], b: [Reach; 2]| [a[0].and(b[0]), a[1].and(b[1])];
-    let mut by_primitive: Vec<[Reach; 2]> = Vec::new();
+fn chart_wraps(atlas: &Atlas, charts: &Charts, slots: &[Slot]) -> Vec<[WrapUse; 2]> {
+    let both = |a: [WrapUse; 2], b: [WrapUse; 2]| [a[0].and(b[0]), a[1].and(b[1])];
+    let mut by_primitive: Vec<[WrapUse; 2]> = Vec::new();
     for reading in slots.iter().flat_map(|s| &s.readings) {
         for &p in &reading.primitives {
             if by_primitive.len() <= p as usize {
-                by_primitive.resize(p as usize + 1, [Reach::Nothing; 2]);
+                by_primitive.resize(p as usize + 1, [WrapUse::Nothing; 2]);
             }
-            let reach = &mut by_primitive[p as usize];
-            *reach = both(*reach, reading.wrap.map(Reach::All));
+            let known = &mut by_primitive[p as usize];
+            *known = both(*known, reading.wrap.map(WrapUse::All));
         }
     }
     let of_face = |f: &FaceId| {
         let primitive = atlas.provenance.get(f.index()).map_or(0, |p| p.primitive as usize);
-        by_primitive.get(primitive).copied().unwrap_or([Reach::Nothing; 2])
+        by_primitive.get(primitive).copied().unwrap_or([WrapUse::Nothing; 2])
     };
-    charts.faces.iter().map(|faces| faces.iter().map(of_face).fold([Reach::Nothing; 2], both)).collect()
+    charts.faces.iter().map(|faces| faces.iter().map(of_face).fold([WrapUse::Nothing; 2], both)).collect()
 }
 
 fn bounds(atlas: &Atlas, faces: &[FaceId]) -> (DVec2, DVec2) {
@@ -160,15 +160,15 @@ fn bounds(atlas: &Atlas, faces: &[FaceId]) -> (DVec2, DVec2) {
 
 fn check_tiling(
     boxes: &[(DVec2, DVec2)],
-    wraps: &[[Reach; 2]],
+    wraps: &[[WrapUse; 2]],
     is_virtual: bool,
     size: DVec2,
     tiling: Tiling,
 ) -> Result<(), Warning> {
     let larger = |axis: usize| boxes.iter().any(|(low, high)| high[axis] - low[axis] > size[axis] + SLACK);
-    let repeats = |(bounds, wrap): (&(DVec2, DVec2), &[Reach; 2])| {
+    let repeats = |(bounds, wrap): (&(DVec2, DVec2), &[WrapUse; 2])| {
         let (low, high) = bounds;
-        let free = |axis: usize| matches!(wrap[axis], Reach::Nothing | Reach::All(Wrap::ClampToEdge));
+        let free = |axis: usize| matches!(wrap[axis], WrapUse::Nothing | WrapUse::All(Wrap::ClampToEdge));
         (0..2).any(|axis| !free(axis) && high[axis] - low[axis] > size[axis] + SLACK)
     };
     if tiling == Tiling::Leave && boxes.iter().zip(wraps).any(repeats) {
@@ -219,19 +219,19 @@ mod tests {
         let mut atlas = triangles(places);
         let readings = vec![crate::texture::Reading { wrap, primitives: vec![0] }];
         let slots = [crate::texture::Slot { readings, ..slot(0, SHEET) }];
-        bring_home(&mut atlas, &slots, SHEET, tiling, false).map_err(|w| w.code)?;
+        normalise_tiles(&mut atlas, &slots, SHEET, tiling, false).map_err(|w| w.code)?;
         Ok(atlas.uv.chunks(3).map(|c| (c[0].x, c[0].y)).collect())
     }
 
     #[test]
     fn each_axis_follows_its_own_wrap_mode() {
         let places = [(10.0, 10.0, 20.0), (310.0, -140.0, 20.0)];
-        let home = |wrap| moved(&places, wrap, Tiling::Bake).unwrap()[1];
-        assert_eq!(home([Wrap::Repeat, Wrap::Repeat]), (10.0, 10.0));
-        assert_eq!(home([Wrap::Repeat, Wrap::ClampToEdge]), (10.0, -140.0));
+        let normalised = |wrap| moved(&places, wrap, Tiling::Bake).unwrap()[1];
+        assert_eq!(normalised([Wrap::Repeat, Wrap::Repeat]), (10.0, 10.0));
+        assert_eq!(normalised([Wrap::Repeat, Wrap::ClampToEdge]), (10.0, -140.0));
         // Three tiles to the left is two and one that is mirrored; -3 tiles is -4 and the second of a pair.
-        assert_eq!(home([Wrap::MirroredRepeat, Wrap::MirroredRepeat]), (110.0, 60.0));
-        assert_eq!(home([Wrap::ClampToEdge, Wrap::ClampToEdge]), (310.0, -140.0));
+        assert_eq!(normalised([Wrap::MirroredRepeat, Wrap::MirroredRepeat]), (110.0, 60.0));
+        assert_eq!(normalised([Wrap::ClampToEdge, Wrap::ClampToEdge]), (310.0, -140.0));
     }
 
     #[test]
@@ -250,7 +250,7 @@ mod tests {
         atlas.corners[1][0] = atlas.corners[0][1];
         atlas.surface.triangles[1][0] = atlas.surface.triangles[0][1];
         let before = [0, 1].map(|f| atlas.uv_area(FaceId(f)));
-        bring_home(&mut atlas, &[slot(0, SHEET)], SHEET, Tiling::Bake, false).unwrap();
+        normalise_tiles(&mut atlas, &[slot(0, SHEET)], SHEET, Tiling::Bake, false).unwrap();
         assert_eq!([0, 1].map(|f| atlas.uv_area(FaceId(f))), before);
         assert_eq!(atlas.uv_triangle(FaceId(1))[0], DVec2::new(10.0, 5.0));
     }

@@ -1,19 +1,19 @@
-//! What the document says of materials, textures and primitives, before anything is decided.
+//! The index of a document: its materials, textures and primitives with what they refer to, before anything is decided.
 
 use std::collections::BTreeSet;
 
 use serde_json::Value;
 
 use super::Document;
+use super::buffers::is_handled;
 use super::json::{array, checked, index, object};
-use super::resolve::is_handled;
-use super::transform::{Layout, Transform};
+use super::transform::{TextureTransform, UvLayout};
 use crate::error::{Code, Failure, Result};
 use crate::texture::{Alpha, Role, Wrap};
 
-/// The document as texture sets see it.
+/// Materials, textures and primitives of a document, by index.
 #[derive(Debug)]
-pub(crate) struct Scan {
+pub(crate) struct MaterialIndex {
     /// By material index.
     pub(crate) materials: Vec<Material>,
     /// By texture index.
@@ -40,7 +40,7 @@ pub(crate) struct Material {
     /// Whether an animation moves one of its texture transforms.
     pub(crate) animated: bool,
     /// Whether its highlights follow the tangents by themselves, without a texture (KHR_materials_anisotropy).
-    pub(crate) brushed: bool,
+    pub(crate) untextured_anisotropy: bool,
 }
 
 /// One texture read by a material.
@@ -51,7 +51,7 @@ pub(crate) struct TextureUse {
     /// Index into `/textures`.
     pub(crate) texture: usize,
     /// The TEXCOORD set that it reads, and its texture transform.
-    pub(crate) layout: Layout,
+    pub(crate) layout: UvLayout,
     /// What it means; none in an extension that is not known.
     pub(crate) role: Option<Role>,
 }
@@ -137,44 +137,53 @@ const SLOTS: [(&str, Role); 21] = [
     ("/extensions/KHR_materials_pbrSpecularGlossiness/specularGlossinessTexture", Role::SpecularGlossiness),
 ];
 
-/// Reads materials, textures and primitives.
-///
-/// # Errors
-/// `invalid_model` with the pointer of an index that is out of range or a value of the wrong kind.
-pub(crate) fn scan(doc: &Document) -> Result<Scan> {
-    let json = &doc.json;
-    let textures = array(json, "textures").iter().enumerate();
-    let textures = textures.map(|(i, t)| texture(json, i, t)).collect::<Result<Vec<_>>>()?;
-    let animated = animated_transforms(json);
-    let mut materials = Vec::new();
-    for (i, value) in array(json, "materials").iter().enumerate() {
-        let mut material = material(value, textures.len(), i)?;
-        material.animated = animated.contains(&i);
-        materials.push(material);
-    }
-    let mut primitives = Vec::new();
-    for (m, mesh) in array(json, "meshes").iter().enumerate() {
-        for (p, value) in array(mesh, "primitives").iter().enumerate() {
-            primitives.push(primitive(json, value, m, p)?);
+impl MaterialIndex {
+    /// Reads materials, textures and primitives.
+    ///
+    /// # Errors
+    /// `invalid_model` with the pointer of an index that is out of range or a value of the wrong kind.
+    pub(crate) fn new(doc: &Document) -> Result<MaterialIndex> {
+        let json = &doc.json;
+        let textures = array(json, "textures").iter().enumerate();
+        let textures = textures.map(|(i, t)| texture(json, i, t)).collect::<Result<Vec<_>>>()?;
+        let animated = animated_transforms(json);
+        let mut materials = Vec::new();
+        for (i, value) in array(json, "materials").iter().enumerate() {
+            let mut material = material(value, textures.len(), i)?;
+            material.animated = animated.contains(&i);
+            materials.push(material);
         }
-    }
-    let mut named = (BTreeSet::new(), BTreeSet::new());
-    for (key, value) in json.as_object().into_iter().flatten() {
-        if key != "materials" && key != "textures" {
-            named_by_extensions(value, &mut named);
+        let mut primitives = Vec::new();
+        for (m, mesh) in array(json, "meshes").iter().enumerate() {
+            for (p, value) in array(mesh, "primitives").iter().enumerate() {
+                primitives.push(primitive(json, value, m, p)?);
+            }
         }
-    }
-    for texture in array(json, "textures") {
-        let extensions = object(texture, "extensions").into_iter().flatten();
-        for (_, value) in extensions.filter(|(name, _)| !SOURCES.contains(&name.as_str())) {
-            collect_names(value, &mut named);
+        let mut named = (BTreeSet::new(), BTreeSet::new());
+        for (key, value) in json.as_object().into_iter().flatten() {
+            if key != "materials" && key != "textures" {
+                named_by_extensions(value, &mut named);
+            }
         }
+        for texture in array(json, "textures") {
+            let extensions = object(texture, "extensions").into_iter().flatten();
+            for (_, value) in extensions.filter(|(name, _)| !SOURCES.contains(&name.as_str())) {
+                collect_names(value, &mut named);
+            }
+        }
+        if let Some(extensions) = json.get("extensions") {
+            collect_names(extensions, &mut named);
+        }
+        let understood = array(json, "extensionsUsed").iter().all(|e| e.as_str().is_some_and(is_handled));
+        Ok(MaterialIndex {
+            materials,
+            textures,
+            primitives,
+            named_images: named.0,
+            named_textures: named.1,
+            understood,
+        })
     }
-    if let Some(extensions) = json.get("extensions") {
-        collect_names(extensions, &mut named);
-    }
-    let understood = array(json, "extensionsUsed").iter().all(|e| e.as_str().is_some_and(is_handled));
-    Ok(Scan { materials, textures, primitives, named_images: named.0, named_textures: named.1, understood })
 }
 
 fn texture(json: &Value, i: usize, value: &Value) -> Result<Texture> {
@@ -228,7 +237,7 @@ fn material(value: &Value, textures: usize, i: usize) -> Result<Material> {
         return Err(Failure::new(Code::TooLarge, text).at(pointer));
     }
     let anisotropy = value.pointer("/extensions/KHR_materials_anisotropy");
-    let brushed = anisotropy.is_some_and(|a| {
+    let untextured_anisotropy = anisotropy.is_some_and(|a| {
         let strength = a.get("anisotropyStrength").and_then(Value::as_f64).unwrap_or(0.0);
         strength != 0.0 && a.get("anisotropyTexture").is_none()
     });
@@ -238,7 +247,7 @@ fn material(value: &Value, textures: usize, i: usize) -> Result<Material> {
         _ => Alpha::Opaque,
     };
     let name = value.get("name").and_then(Value::as_str).filter(|n| !n.is_empty()).map(str::to_owned);
-    Ok(Material { name, uses, alpha, animated: false, brushed })
+    Ok(Material { name, uses, alpha, animated: false, untextured_anisotropy })
 }
 
 fn texture_use(info: &Value, path: String, role: Option<Role>, textures: usize, pointer: &str) -> Result<TextureUse> {
@@ -246,8 +255,8 @@ fn texture_use(info: &Value, path: String, role: Option<Role>, textures: usize, 
     let texture = index(info, "index", textures, &at)?
         .ok_or_else(|| Failure::model("a texture is named without an index").at(at.clone()))?;
     let uv_set = index(info, "texCoord", 1 << 16, &at)?.unwrap_or(0);
-    let (transform, other) = Transform::of(info, &at)?;
-    Ok(TextureUse { path, texture, layout: Layout { uv_set: other.unwrap_or(uv_set), transform }, role })
+    let (transform, other) = TextureTransform::of(info, &at)?;
+    Ok(TextureUse { path, texture, layout: UvLayout { uv_set: other.unwrap_or(uv_set), transform }, role })
 }
 
 /// Every `…Texture: {index}` below a material's extensions that is not one of [`SLOTS`].

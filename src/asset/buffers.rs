@@ -1,17 +1,17 @@
-//! Everything that a glTF document refers to: checked, and gathered from the GLB, the upload and data URIs.
+//! Resolves the buffers and images of a glTF document, from the GLB, the upload and data URIs; checks all of it.
 
 use std::borrow::Cow;
 
 use serde_json::Value;
 
 use super::Document;
+use super::accessor_layout::{self, list, whole};
 use super::compression;
 use super::json::array;
 use super::limits::Limits;
 use super::merge::Merging;
 use super::nodes;
-use super::structure::{self, list, whole};
-use super::upload::{Entry, Upload};
+use super::upload::{Upload, UploadEntry};
 use super::uri::{self, quote};
 use crate::error::{Code, Failure, Result, Warning};
 
@@ -30,14 +30,14 @@ pub(crate) fn is_handled(extension: &str) -> bool {
     extension.starts_with("KHR_materials_") || HANDLED.contains(&extension)
 }
 
-/// Checks a document and gathers its buffers and images. `bin` is the GLB's binary chunk, `entry` the file that holds the document.
+/// Checks a document and resolves its buffers and images. `bin` is the GLB's binary chunk, `entry` the file that holds the document.
 ///
 /// # Errors
 /// As [`super::load`].
 pub(crate) fn resolve(
     json: Value,
     bin: Option<&[u8]>,
-    entry: &Entry<'_>,
+    entry: &UploadEntry<'_>,
     upload: &Upload<'_>,
     limits: &Limits,
     warnings: &mut Vec<Warning>,
@@ -51,7 +51,7 @@ pub(crate) fn resolve(
     let mut document = Document { json, buffers, images: Vec::new(), name, merging: Merging::default() };
     let filtered = compression::views(&mut document, &mut budget, warnings, check)?;
     let lengths: Vec<usize> = document.buffers.iter().map(Vec::len).collect();
-    structure::check(&document.json, &lengths, limits.max_input_bytes, warnings)?;
+    accessor_layout::check(&document.json, &lengths, limits.max_input_bytes, warnings)?;
     check_triangles(&document.json, limits)?;
     compression::renew_bounds(&mut document, &filtered)?;
     compression::primitives(&mut document, limits, &mut budget, warnings, check)?;
@@ -148,7 +148,7 @@ fn buffers(
     let mut buffers = Vec::new();
     let mut bin_used = false;
     for index in 0..list(json, "buffers")?.len() {
-        let object = structure::element(json, "buffers", index)?;
+        let object = accessor_layout::element(json, "buffers", index)?;
         let pointer = format!("/buffers/{index}");
         let at_uri = format!("{pointer}/uri");
         let length = whole(object, "byteLength", &pointer)?
@@ -202,7 +202,7 @@ fn images(
 ) -> Result<Vec<Option<Vec<u8>>>> {
     let mut images = Vec::new();
     for index in 0..list(&document.json, "images")?.len() {
-        let object = structure::element(&document.json, "images", index)?;
+        let object = accessor_layout::element(&document.json, "images", index)?;
         let pointer = format!("/images/{index}");
         let mut missing = |code: &str, why: String| {
             warnings.push(Warning::new(code, why).at(pointer.clone()));
