@@ -1,8 +1,8 @@
 //! Typed and raw reading of accessors: any component type, stride, sparse, normalised or not.
 
-use super::Document;
 use super::accessor_layout::{self, AccessorLayout, SparseLayout};
 use super::accessor_type::{ComponentType, Kind};
+use super::document::Document;
 use crate::error::{Failure, Result};
 
 /// The elements of an accessor, tightly packed, for copying without loss.

@@ -4,31 +4,16 @@ use std::borrow::Cow;
 
 use serde_json::Value;
 
-use super::Document;
 use super::accessor_layout::{self, list, whole};
 use super::compression;
-use super::json::array;
-use super::limits::Limits;
-use super::merge::Merging;
+use super::document::{Document, Merging};
+use super::extensions;
+use super::limits::{Budget, Limits};
 use super::nodes;
+use super::primitive::declared_triangles;
 use super::upload::{Upload, UploadEntry};
 use super::uri::{self, quote};
 use crate::error::{Code, Failure, Result, Warning};
-
-/// `extensionsRequired` that are understood, beside every KHR_materials_*.
-const HANDLED: [&str; 6] = [
-    "EXT_mesh_gpu_instancing",
-    "EXT_texture_webp",
-    "KHR_lights_punctual",
-    "KHR_mesh_quantization",
-    "KHR_texture_basisu",
-    "KHR_texture_transform",
-];
-
-/// Whether an extension is understood, so that nothing in it can refer to buffers unseen.
-pub(crate) fn is_handled(extension: &str) -> bool {
-    extension.starts_with("KHR_materials_") || HANDLED.contains(&extension)
-}
 
 /// Checks a document and resolves its buffers and images. `bin` is the GLB's binary chunk, `entry` the file that holds the document.
 ///
@@ -45,7 +30,7 @@ pub(crate) fn resolve(
 ) -> Result<Document> {
     check_header(&json)?;
     nodes::check(&json)?;
-    let mut budget = Budget { left: limits.max_input_bytes.saturating_mul(2) };
+    let mut budget = Budget::new(limits);
     let buffers = buffers(&json, bin, &entry.path, upload, &mut budget, warnings)?;
     let name = uri::stem(&entry.path).to_owned();
     let mut document = Document { json, buffers, images: Vec::new(), name, merging: Merging::default() };
@@ -80,7 +65,7 @@ fn check_header(json: &Value) -> Result<()> {
     }
     for (index, name) in list(json, "extensionsRequired")?.iter().enumerate() {
         let name = name.as_str().unwrap_or_default();
-        if !is_handled(name) && !compression::is_decoded(name) {
+        if !extensions::is_read(name) {
             let message = format!("the model requires the extension {}, which is not supported", quote(name));
             return Err(Failure::new(Code::UnsupportedExtension, message).at(format!("/extensionsRequired/{index}")));
         }
@@ -111,29 +96,6 @@ fn major(version: &str) -> Option<u32> {
     let (major, minor) = version.split_once('.')?;
     minor.parse::<u32>().ok()?;
     major.parse().ok()
-}
-
-/// How many bytes buffers and images may still take: a file named a thousand times counts a thousand times.
-pub(crate) struct Budget {
-    left: u64,
-}
-
-impl Budget {
-    /// Takes note of bytes before they are allocated.
-    ///
-    /// # Errors
-    /// `too_large` at `pointer` when they are too many.
-    pub(crate) fn charge(&mut self, bytes: usize, pointer: &str) -> Result<()> {
-        self.left = self.left.checked_sub(bytes as u64).ok_or_else(|| {
-            Failure::new(Code::TooLarge, "the buffers and images together exceed the limit on the input").at(pointer)
-        })?;
-        Ok(())
-    }
-
-    fn take(&mut self, bytes: &[u8], pointer: &str) -> Result<Vec<u8>> {
-        self.charge(bytes.len(), pointer)?;
-        Ok(bytes.to_vec())
-    }
 }
 
 fn buffers(
@@ -241,29 +203,11 @@ fn images(
 fn check_triangles(json: &Value, limits: &Limits) -> Result<()> {
     let mut total: u64 = 0;
     for (mesh, object) in list(json, "meshes")?.iter().enumerate() {
-        total = total.saturating_add(triangles(json, object));
+        total = total.saturating_add(declared_triangles(json, object));
         if total > limits.max_triangles {
             let message = format!("the model has more than {} triangles", limits.max_triangles);
             return Err(Failure::new(Code::TooLarge, message).at(format!("/meshes/{mesh}")));
         }
     }
     Ok(())
-}
-
-/// The triangles that the primitives of a mesh declare.
-pub(crate) fn triangles(json: &Value, mesh: &Value) -> u64 {
-    let count = |accessor: &Value| {
-        let index = usize::try_from(accessor.as_u64()?).ok()?;
-        json.get("accessors")?.get(index)?.get("count")?.as_u64()
-    };
-    let primitives = array(mesh, "primitives").iter().map(|primitive| {
-        let position = || primitive.get("attributes")?.get("POSITION");
-        let corners = primitive.get("indices").or_else(position).and_then(count).unwrap_or(0);
-        match primitive.get("mode").map_or(Some(4), Value::as_u64) {
-            Some(4) => corners / 3,
-            Some(5 | 6) => corners.saturating_sub(2),
-            _ => 0,
-        }
-    });
-    primitives.fold(0, u64::saturating_add)
 }

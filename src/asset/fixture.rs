@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::merge::Merging;
+use super::document::Merging;
 use super::{ARRAY_BUFFER, Document, RawAccessor};
 use crate::texture::{Alpha, Format, Header, Image, Role, Samples, Wrap, encode};
 use crate::texture::{Reading, Slot};

@@ -5,10 +5,10 @@ use std::rc::Rc;
 
 use glam::{DVec2, DVec3};
 
-use super::Document;
 use super::accessor::{accessor_count, read_indices, read_vec2, read_vec3};
+use super::document::Document;
 use super::json::{array, index};
-use super::material_index::primitive_pointer;
+use super::primitive::primitive_pointer;
 use super::transform::{TextureTransform, UvLayout};
 use crate::atlas::{Atlas, UvId, VertexId};
 use crate::context::Context;

@@ -7,10 +7,10 @@
 use serde_json::{Value, json};
 
 use super::accessor_layout::{self, list};
+use super::document::{Document, File};
 use super::side_names::{Names, by_name, media_type, plain};
 use super::uri;
-use super::{Document, File};
-use super::{glb, prune};
+use super::{extensions, glb, prune};
 use crate::error::{Failure, Result};
 
 /// Where the bytes of a buffer view come from.
@@ -159,7 +159,7 @@ impl<'a> OutputDraft<'a> {
     /// Takes out what nothing refers to, lays the bytes of all buffer views into one buffer and says so in the JSON.
     fn finish(&mut self, uri: Option<&str>) -> Result<Vec<u8>> {
         let mut compact = false;
-        if prune::is_understood(&self.json)
+        if extensions::all_understood(&self.json)
             && let Some(kept) = prune::prune(&mut self.json)
         {
             let mut keep = kept.iter();

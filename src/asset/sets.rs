@@ -6,10 +6,12 @@
 
 use std::collections::BTreeMap;
 
+use super::document::Document;
+use super::extensions::{OnPrimitive, on_primitive};
 use super::json::{array, object};
 use super::material_index::{MaterialIndex, Primitive, Texture, TextureUse};
+use super::texture_set::TextureSet;
 use super::transform::{TextureTransform, UvLayout};
-use super::{Document, TextureSet};
 use crate::atlas::find_root;
 use crate::context::Context;
 use crate::error::{Result, Warning};
@@ -31,9 +33,6 @@ pub(crate) struct Planned {
 
 /// Sheet of a set without images.
 const VIRTUAL_SHEET: [u32; 2] = [1024, 1024];
-
-/// Primitive extensions that only read vertices, so that new ones may be added beside what they read.
-const READERS: [&str; 2] = ["EXT_mesh_features", "EXT_structural_metadata"];
 
 /// Forms the texture sets of TEXCOORD_`uv_set`, in the order of their first primitive.
 ///
@@ -85,7 +84,8 @@ pub(crate) fn written_set(
     layout: UvLayout,
 ) -> usize {
     let read_on = |u: &TextureUse| u.layout.uv_set == layout.uv_set && (u.layout != layout || u.role.is_none());
-    let extended = object(value, "extensions").is_some_and(|e| e.keys().any(|k| k != "KHR_materials_variants"));
+    let independent = |name: &String| on_primitive(name) == OnPrimitive::Independent;
+    let extended = object(value, "extensions").is_some_and(|e| !e.keys().all(independent));
     if extended || materials.iter().any(|&m| all_uses(index, m).iter().any(read_on)) {
         let names = object(value, "attributes").into_iter().flat_map(|a| a.keys());
         let last = names.filter_map(|n| n.strip_prefix("TEXCOORD_")?.parse::<usize>().ok()).max();
@@ -138,8 +138,7 @@ fn is_refinable(doc: &Document, primitive: &Primitive, uv_set: usize, context: &
         return false;
     }
     let mut keys = object(value, "extensions").into_iter().flat_map(|e| e.keys());
-    let strange = keys.find(|k| *k != "KHR_materials_variants" && !READERS.contains(&k.as_str()));
-    if let Some(key) = strange {
+    if let Some(key) = keys.find(|k| on_primitive(k) == OnPrimitive::Unknown) {
         let text = format!("the primitive is left as it is: its extension {key} is not supported");
         context.warn(Warning::new("primitive_extension", text).at(format!("{pointer}/extensions/{key}")));
         return false;

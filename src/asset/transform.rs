@@ -3,10 +3,9 @@
 use glam::DVec2;
 use serde_json::{Map, Value};
 
+use super::extensions::TEXTURE_TRANSFORM;
+use super::json::index;
 use crate::error::{Failure, Result};
-
-/// The name of the extension.
-pub(crate) const EXTENSION: &str = "KHR_texture_transform";
 
 /// What is done to UVs before a texture is read: scaled, turned counter-clockwise as one sees the image, moved.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,13 +27,13 @@ impl TextureTransform {
     /// # Errors
     /// `invalid_model` with a pointer for a value of the wrong kind.
     pub(crate) fn of(info: &Value, pointer: &str) -> Result<(TextureTransform, Option<usize>)> {
-        let Some(value) = info.get("extensions").and_then(|e| e.get(EXTENSION)) else {
+        let Some(value) = info.get("extensions").and_then(|e| e.get(TEXTURE_TRANSFORM)) else {
             return Ok((TextureTransform::IDENTITY, None));
         };
-        let at = format!("{pointer}/extensions/{EXTENSION}");
+        let at = format!("{pointer}/extensions/{TEXTURE_TRANSFORM}");
         let object = value.as_object();
         let object = object.ok_or_else(|| Failure::model("an object is expected here").at(at.clone()))?;
-        let uv_set = super::json::index(value, "texCoord", 1 << 16, &at)?;
+        let uv_set = index(value, "texCoord", 1 << 16, &at)?;
         let offset = pair(object, "offset", DVec2::ZERO, &at)?;
         let scale = pair(object, "scale", DVec2::ONE, &at)?;
         let rotation = match object.get("rotation") {
@@ -126,7 +125,7 @@ mod tests {
     use serde_json::json;
 
     fn transform(value: Value) -> TextureTransform {
-        TextureTransform::of(&json!({ "extensions": { EXTENSION: value } }), "").unwrap().0
+        TextureTransform::of(&json!({ "extensions": { TEXTURE_TRANSFORM: value } }), "").unwrap().0
     }
 
     #[test]
@@ -145,7 +144,7 @@ mod tests {
         assert!(transform(json!({ "offset": [0, -0.0], "scale": [1, 1.0], "rotation": 0 })).is_identity());
         assert_eq!(transform(json!({ "rotation": -0.0 })).cmp(&TextureTransform::IDENTITY), std::cmp::Ordering::Equal);
         for wrong in [json!(3), json!({ "offset": [1] }), json!({ "rotation": "x" }), json!({ "texCoord": -1 })] {
-            let info = json!({ "extensions": { EXTENSION: wrong } });
+            let info = json!({ "extensions": { TEXTURE_TRANSFORM: wrong } });
             let at = TextureTransform::of(&info, "/m").unwrap_err().pointer.unwrap();
             assert!(at.starts_with("/m/extensions/KHR_texture_transform"));
         }

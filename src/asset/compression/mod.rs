@@ -18,15 +18,6 @@ use serde_json::{Map, Value};
 use super::uri::quote;
 use crate::error::{Failure, Result, Warning};
 
-const DRACO: &str = "KHR_draco_mesh_compression";
-/// The same layout under two names; the second also has colour filters.
-const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
-
-/// Whether an extension is gone once a model is loaded.
-pub(crate) fn is_decoded(extension: &str) -> bool {
-    extension == DRACO || MESHOPT.contains(&extension)
-}
-
 /// The object of an extension in a glTF object, where it has one.
 ///
 /// # Errors

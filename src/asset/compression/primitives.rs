@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use super::draco::{self, Bounds};
-use super::{DRACO, decompressed, extension, remove_extension, undeclare};
+use super::{decompressed, extension, remove_extension, undeclare};
 use crate::asset::accessor::RawAccessor;
 use crate::asset::accessor_layout::{self, AccessorLayout, list, needed, whole};
 use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, set_bounds};
-use crate::asset::buffers::Budget;
-use crate::asset::{ComponentType, Document, Kind, Limits};
+use crate::asset::extensions::DRACO;
+use crate::asset::limits::{Budget, Limits};
+use crate::asset::{ComponentType, Document, Kind};
 use crate::error::{Code, Failure, Result, Warning};
 
 /// Bytes that the attributes of one vertex may take in a stream: it may hold more than the primitive names.

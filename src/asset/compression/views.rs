@@ -6,12 +6,13 @@ use serde_json::{Map, Value};
 
 use super::meshopt::{Filter, Mode, StreamLayout, decode};
 use super::squeeze::squeeze;
-use super::{MESHOPT, decompressed, extension, remove_extension, undeclare, word};
+use super::{decompressed, extension, remove_extension, undeclare, word};
 use crate::asset::Document;
 use crate::asset::accessor::raw_elements;
 use crate::asset::accessor_layout::{list, needed, whole};
 use crate::asset::append::set_bounds;
-use crate::asset::buffers::Budget;
+use crate::asset::extensions::MESHOPT;
+use crate::asset::limits::Budget;
 use crate::error::{Code, Failure, Result, Warning};
 
 /// What a buffer view says of its compressed source.

@@ -6,11 +6,11 @@ use std::io::Read;
 
 use serde_json::Value;
 
-use super::super::buffers::triangles;
 use super::super::glb;
 use super::super::json::array;
 use super::super::limits::Limits;
 use super::super::load::Container;
+use super::super::primitive::declared_triangles;
 use super::super::uri;
 use super::files::{Files, Forward, Stream};
 use super::sum::Sum;
@@ -177,7 +177,7 @@ impl DocumentOutline {
             }
         }
         let meshes = array(&self.json, "meshes");
-        sum.triangles(meshes.iter().fold(0, |all, mesh| all.saturating_add(triangles(&self.json, mesh))));
+        sum.triangles(meshes.iter().fold(0, |all, mesh| all.saturating_add(declared_triangles(&self.json, mesh))));
         let primitives = meshes.iter().flat_map(|m| array(m, "primitives"));
         let positions: BTreeSet<u64> =
             primitives.filter_map(|p| p.get("attributes")?.get("POSITION")?.as_u64()).collect();

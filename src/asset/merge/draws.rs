@@ -9,7 +9,7 @@ use super::join::{joined, key, triangles};
 use super::shown;
 use crate::asset::Document;
 use crate::asset::json::array;
-use crate::asset::material_index::primitive_pointer;
+use crate::asset::primitive::primitive_pointer;
 use crate::error::Result;
 
 /// A mesh that several nodes show is copied into another only where it has no more triangles than this.

@@ -6,8 +6,9 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 
 use crate::asset::Document;
+use crate::asset::extensions::{self, VARIANTS};
 use crate::asset::json::{array, object_mut};
-use crate::asset::material_index::{MaterialIndex, SOURCES};
+use crate::asset::material_index::MaterialIndex;
 use crate::error::Result;
 
 /// Textures name the first of images with equal bytes.
@@ -23,7 +24,7 @@ pub(super) fn images(doc: &mut Document, index: &MaterialIndex) {
         if let Some(source) = texture.get_mut("source") {
             renumber(source, &same);
         }
-        for name in SOURCES {
+        for name in extensions::all().filter(|e| e.image_source).map(|e| e.name) {
             if let Some(source) = texture.pointer_mut(&format!("/extensions/{name}/source")) {
                 renumber(source, &same);
             }
@@ -79,12 +80,13 @@ pub(super) fn textures(doc: &mut Document) -> Result<()> {
 /// them stay in the list, so that their numbers stay.
 pub(super) fn materials(doc: &mut Document) -> Vec<usize> {
     let (same, _) = firsts(array(&doc.json, "materials"));
+    let variants = format!("/extensions/{VARIANTS}/mappings");
     for mesh in doc.json.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten() {
         for primitive in mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten() {
             if let Some(m) = primitive.get_mut("material") {
                 renumber(m, &same);
             }
-            let mappings = primitive.pointer_mut("/extensions/KHR_materials_variants/mappings");
+            let mappings = primitive.pointer_mut(&variants);
             for mapping in mappings.and_then(Value::as_array_mut).into_iter().flatten() {
                 if let Some(m) = mapping.get_mut("material") {
                     renumber(m, &same);

@@ -17,10 +17,10 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::Document;
+use super::document::Document;
+use super::extensions;
 use super::json::array;
 use super::material_index::MaterialIndex;
-use super::prune;
 use super::sources::{drop_images, each_source};
 use crate::error::{Failure, Result};
 
@@ -67,15 +67,6 @@ pub struct MergedMaterial {
 #[derive(Debug, Clone)]
 pub struct Merge(Merged);
 
-/// Images that merging changed the standing of, by index.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Merging {
-    /// Made of factors: surfaces read them at one point.
-    pub constants: BTreeSet<usize>,
-    /// Equal to others, which stand in for them.
-    pub spare: BTreeSet<usize>,
-}
-
 /// Makes equal images and textures one, and textures of factors. `uv_set` is the TEXCOORD set that is refined. None, with the
 /// document untouched, where an extension is not understood.
 ///
@@ -84,7 +75,7 @@ pub struct Merging {
 pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
     let mut channels = array(&doc.json, "animations").iter().flat_map(|a| array(a, "channels"));
     // An animation by pointer names materials and textures one by one.
-    if !prune::is_understood(&doc.json) || channels.any(|c| c.pointer("/target/extensions").is_some()) {
+    if !extensions::all_understood(&doc.json) || channels.any(|c| c.pointer("/target/extensions").is_some()) {
         return Ok(None);
     }
     let index = MaterialIndex::new(doc)?;

@@ -25,10 +25,13 @@ use self::textures::{Owner, Textures};
 use self::vertices::{Points, Pool, Vertices};
 use super::accessor::RawAccessor;
 use super::append::ELEMENT_ARRAY_BUFFER;
+use super::document::Document;
+use super::extensions::VARIANTS;
 use super::geometry::vertex_count;
 use super::json::{array, array_mut, object_mut};
-use super::material_index::{MaterialIndex, primitive_pointer};
-use super::{Document, PrimitiveRef, TextureSet};
+use super::material_index::MaterialIndex;
+use super::primitive::primitive_pointer;
+use super::texture_set::{PrimitiveRef, TextureSet};
 use crate::atlas::{Atlas, FaceId};
 use crate::context::Context;
 use crate::error::{Failure, Result};
@@ -259,7 +262,7 @@ fn set_materials(
     page: usize,
 ) -> Result<()> {
     let mut places = vec![format!("{pointer}/material")];
-    let mappings = format!("{pointer}/extensions/KHR_materials_variants/mappings");
+    let mappings = format!("{pointer}/extensions/{VARIANTS}/mappings");
     let count = out.json.pointer(&mappings).and_then(Value::as_array).map_or(0, Vec::len);
     places.extend((0..count).map(|i| format!("{mappings}/{i}/material")));
     for place in places {

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use super::{Refined, faces_of, pages};
 use crate::asset::geometry::{GeometryReader, PrimitiveGeometry, weld};
 use crate::asset::json::array;
-use crate::asset::material_index::primitive_pointer;
+use crate::asset::primitive::primitive_pointer;
 use crate::asset::{Document, UvLayout};
 use crate::atlas::{Atlas, FaceId, UvId};
 use crate::context::Context;

@@ -8,18 +8,15 @@ use bevy_mikktspace::{Geometry, TangentSpace, generate_tangents};
 use serde_json::Value;
 
 use super::blend::{unit, wide};
-use super::turn::Turn;
+use super::turn::{Tangent, Turn};
 use super::vertices::{Point, Points};
 use super::{Refined, reads_directions, uploaded};
 use crate::asset::accessor::{read_vec2, read_vec3};
 use crate::asset::json::{array, index};
-use crate::asset::material_index::primitive_pointer;
+use crate::asset::primitive::primitive_pointer;
 use crate::asset::{Document, PrimitiveRef};
 use crate::atlas::{Atlas, FaceId, Topology};
 use crate::error::Result;
-
-/// A tangent with its handedness, as glTF has it.
-pub(crate) type Tangent = [f32; 4];
 
 /// Which primitives of a set lost the tangents that renderers would compute: they read directions, have NORMAL and no TANGENT, and
 /// a face of theirs was split, turned or mirrored, or an edge of theirs was cut or joined. (Where UVs are sheared, the

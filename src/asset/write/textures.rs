@@ -6,11 +6,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::{Map, Value, json};
 
 use super::{BakedImage, Refined};
+use crate::asset::extensions::{TEXTURE_TRANSFORM, TEXTURE_WEBP, is_image_source};
 use crate::asset::json::object_mut;
-use crate::asset::material_index::{MaterialIndex, SOURCES, TextureUse};
+use crate::asset::material_index::{MaterialIndex, TextureUse};
 use crate::asset::sets::class;
 use crate::asset::sources::{drop_images, each_source};
-use crate::asset::{Document, UvLayout, transform};
+use crate::asset::{Document, UvLayout};
 use crate::error::{Failure, Result};
 use crate::texture::Slot;
 use crate::texture::{Format, Wrap};
@@ -295,7 +296,7 @@ fn place(out: &mut Document, index: usize, baked: &BakedImage, in_place: bool) -
 /// Gives a texture its image: as its core source, or where the format needs it by extension.
 fn set_source(texture: &mut Map<String, Value>, image: usize, format: Option<Format>) {
     if let Some(extensions) = texture.get_mut("extensions").and_then(Value::as_object_mut) {
-        extensions.retain(|name, _| !SOURCES.contains(&name.as_str()));
+        extensions.retain(|name, _| !is_image_source(name));
         if extensions.is_empty() {
             texture.shift_remove("extensions");
         }
@@ -303,7 +304,7 @@ fn set_source(texture: &mut Map<String, Value>, image: usize, format: Option<For
     if format.is_some_and(Format::needs_extension) {
         texture.shift_remove("source");
         let extensions = texture.entry("extensions").or_insert_with(|| json!({}));
-        extensions["EXT_texture_webp"] = json!({ "source": image });
+        extensions[TEXTURE_WEBP] = json!({ "source": image });
     } else {
         texture.insert("source".to_owned(), Value::from(image));
     }
@@ -330,7 +331,7 @@ fn edit(json: &mut Value, pointer: &str, edits: &[Edit<'_>]) -> Result<()> {
             info.insert("texCoord".to_owned(), Value::from(*uv_set));
         }
         if let Some(extensions) = info.get_mut("extensions").and_then(Value::as_object_mut) {
-            extensions.shift_remove(transform::EXTENSION);
+            extensions.shift_remove(TEXTURE_TRANSFORM);
             if extensions.is_empty() {
                 info.shift_remove("extensions");
             }
