@@ -152,8 +152,8 @@ const TABLE: [Extension; 30] = [
     // The scene.
     Extension::handled("KHR_lights_punctual"),
     Extension::ignored(ANIMATION_POINTER),
-    Extension::ignored("KHR_node_visibility"),
-    Extension::ignored("KHR_xmp_json_ld"),
+    Extension::handled("KHR_node_visibility"),
+    Extension::handled("KHR_xmp_json_ld"),
     // Any other material extension.
     Extension::material(MATERIALS, &[]),
 ];
@@ -211,4 +211,42 @@ pub(crate) fn all_understood(json: &Value) -> bool {
         }
     }
     true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn each_extension_stands_once() {
+        for (i, extension) in TABLE.iter().enumerate() {
+            assert!(TABLE[..i].iter().all(|e| e.name != extension.name), "{}", extension.name);
+        }
+    }
+
+    #[test]
+    fn rows_agree_with_themselves() {
+        for e in all() {
+            assert!(!e.written || e.read, "{}: what is written can be read", e.name);
+            assert!(e.textures.is_empty() || e.understood, "{}: textures are indices that are known", e.name);
+            assert!(!e.image_source || e.read && e.understood, "{}: images are indices that are known", e.name);
+        }
+        assert!([DRACO, MESHOPT[0], MESHOPT[1]].into_iter().all(is_read));
+    }
+
+    #[test]
+    fn material_extensions_that_are_not_in_the_table_are_read() {
+        assert!(is_read("KHR_materials_of_tomorrow") && is_understood("KHR_materials_of_tomorrow"));
+        assert!(!is_read("ACME_materials") && !is_understood("ACME_materials"));
+        assert_eq!(on_primitive("KHR_materials_of_tomorrow"), OnPrimitive::Unknown);
+    }
+
+    #[test]
+    fn extensions_count_wherever_they_stand() {
+        assert!(all_understood(&json!({ "extensionsUsed": ["KHR_node_visibility", "KHR_materials_ior"] })));
+        assert!(!all_understood(&json!({ "extensionsUsed": ["ACME_x"] })));
+        assert!(!all_understood(&json!({ "nodes": [{ "extensions": { "ACME_x": {} } }] })), "used, not declared");
+        assert!(all_understood(&json!({ "nodes": [{ "extras": { "extensions": { "ACME_x": {} } } }] })));
+    }
 }

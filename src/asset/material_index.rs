@@ -25,7 +25,7 @@ pub(crate) struct MaterialIndex {
     pub(crate) named_images: BTreeSet<usize>,
     /// Textures that something outside the materials names.
     pub(crate) named_textures: BTreeSet<usize>,
-    /// Whether `extensionsUsed` holds only what is handled.
+    /// Whether every extension, declared or not, is understood.
     pub(crate) understood: bool,
 }
 
@@ -151,9 +151,7 @@ impl MaterialIndex {
         if let Some(extensions) = json.get("extensions") {
             collect_names(extensions, &mut named);
         }
-        let handled =
-            |e: &Value| e.as_str().is_some_and(|name| extensions::is_read(name) && extensions::is_understood(name));
-        let understood = array(json, "extensionsUsed").iter().all(handled);
+        let understood = extensions::all_understood(json);
         Ok(MaterialIndex {
             materials,
             textures,

@@ -6,6 +6,7 @@ use std::io::Read;
 
 use serde_json::Value;
 
+use super::super::extensions::MESHOPT;
 use super::super::glb;
 use super::super::json::array;
 use super::super::limits::Limits;
@@ -14,7 +15,7 @@ use super::super::primitive::declared_triangles;
 use super::super::uri;
 use super::files::{Files, Forward, Stream};
 use super::sum::Sum;
-use super::tree::{self, MESHOPT};
+use super::tree;
 use crate::texture::{Header, probe};
 
 /// Bytes of a string at first: the head of an image in a data URI.
@@ -172,7 +173,8 @@ impl DocumentOutline {
             sum.gathered(declared.min(there));
         }
         for view in array(&self.json, "bufferViews") {
-            if view.get("extensions").is_some_and(|e| e.get(MESHOPT).is_some()) {
+            // Buffer views that grow when they are decoded.
+            if view.get("extensions").is_some_and(|e| MESHOPT.iter().any(|name| e.get(name).is_some())) {
                 sum.gathered(view.get("byteLength").and_then(whole).unwrap_or(0));
             }
         }
