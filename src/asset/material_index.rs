@@ -14,7 +14,7 @@ use crate::texture::{Alpha, Role, Wrap};
 
 /// Materials, textures and primitives of a document, by index.
 #[derive(Debug)]
-pub(crate) struct MaterialIndex {
+pub struct MaterialIndex {
     /// By material index.
     pub(crate) materials: Vec<Material>,
     /// By texture index.
@@ -119,7 +119,7 @@ impl MaterialIndex {
     ///
     /// # Errors
     /// `invalid_model` with the pointer of an index that is out of range or a value of the wrong kind.
-    pub(crate) fn new(doc: &Document) -> Result<MaterialIndex> {
+    pub fn new(doc: &Document) -> Result<MaterialIndex> {
         let json = &doc.json;
         let textures = array(json, "textures").iter().enumerate();
         let textures = textures.map(|(i, t)| texture(json, i, t)).collect::<Result<Vec<_>>>()?;
@@ -130,12 +130,7 @@ impl MaterialIndex {
             material.animated = animated.contains(&i);
             materials.push(material);
         }
-        let mut primitives = Vec::new();
-        for (m, mesh) in array(json, "meshes").iter().enumerate() {
-            for (p, value) in array(mesh, "primitives").iter().enumerate() {
-                primitives.push(primitive(json, value, m, p)?);
-            }
-        }
+        let primitives = primitives(json)?;
         let mut named = (BTreeSet::new(), BTreeSet::new());
         for (key, value) in json.as_object().into_iter().flatten() {
             if key != "materials" && key != "textures" {
@@ -161,6 +156,41 @@ impl MaterialIndex {
             understood,
         })
     }
+
+    /// Follows an edit that appended textures and changed some materials.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(crate) fn follow_materials(&mut self, json: &Value, changed: &[usize]) -> Result<()> {
+        for (i, value) in array(json, "textures").iter().enumerate().skip(self.textures.len()) {
+            self.textures.push(texture(json, i, value)?);
+        }
+        for &m in changed {
+            if let (Some(own), Some(value)) = (self.materials.get_mut(m), array(json, "materials").get(m)) {
+                *own = Material { animated: own.animated, ..material(value, self.textures.len(), m)? };
+            }
+        }
+        Ok(())
+    }
+
+    /// Follows an edit that put primitives together.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(crate) fn follow_primitives(&mut self, json: &Value) -> Result<()> {
+        self.primitives = primitives(json)?;
+        Ok(())
+    }
+}
+
+fn primitives(json: &Value) -> Result<Vec<Primitive>> {
+    let mut primitives = Vec::new();
+    for (m, mesh) in array(json, "meshes").iter().enumerate() {
+        for (p, value) in array(mesh, "primitives").iter().enumerate() {
+            primitives.push(primitive(json, value, m, p)?);
+        }
+    }
+    Ok(primitives)
 }
 
 fn texture(json: &Value, i: usize, value: &Value) -> Result<Texture> {

@@ -53,6 +53,7 @@ pub use document::{Document, File, Merging};
 pub use estimate::{Estimate, estimate};
 pub use limits::Limits;
 pub use load::{load, load_while, side_file};
+pub use material_index::MaterialIndex;
 pub use merge::{Counts, Merge, Merged, MergedMaterial, finish as finish_merge, prepare as prepare_merge};
 pub use options::{ReadOptions, Tiling};
 pub use save::to_gltf;

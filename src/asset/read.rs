@@ -12,18 +12,17 @@ use crate::error::{Result, Warning};
 /// Longest name of a texture set, in characters.
 const LONGEST_NAME: usize = 60;
 
-/// Reads every texture set of the layout `options.uv_set`. What cannot be refined passes through with a warning on
+/// Reads every texture set of the layout `options.uv_set`; `index` is that of the document. What cannot be refined passes through with a warning on
 /// the context; the result is empty when nothing can.
 ///
 /// # Errors
 /// `invalid_model` with a pointer for indices out of range, attribute counts that differ and numbers that are not
 /// finite; `too_large` when 32 bits cannot count the corners; `canceled`.
-pub fn read(doc: &Document, options: ReadOptions, context: &Context) -> Result<Vec<TextureSet>> {
-    let index = MaterialIndex::new(doc)?;
+pub fn read(doc: &Document, index: &MaterialIndex, options: ReadOptions, context: &Context) -> Result<Vec<TextureSet>> {
     let mut reader = GeometryReader::new(doc);
     let mut sets = Vec::new();
-    for planned in plan(doc, &index, options.uv_set as usize, context)? {
-        if let Some(set) = read_set(doc, &index, planned, sets.len(), options, &mut reader, context)? {
+    for planned in plan(doc, index, options.uv_set as usize, context)? {
+        if let Some(set) = read_set(doc, index, planned, sets.len(), options, &mut reader, context)? {
             sets.push(set);
         }
     }
@@ -139,7 +138,7 @@ mod tests {
 
     fn read_all(doc: &Document) -> (Result<Vec<TextureSet>>, Vec<String>) {
         let context = Context::silent();
-        let sets = read(doc, ReadOptions::default(), &context);
+        let sets = MaterialIndex::new(doc).and_then(|index| read(doc, &index, ReadOptions::default(), &context));
         (
             sets,
             context.warnings().iter().map(|w| format!("{} {}", w.code, w.pointer.as_deref().unwrap_or(""))).collect(),

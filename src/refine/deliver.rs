@@ -86,7 +86,7 @@ fn write(loaded: &Loaded, refinements: &mut [Refinement<'_>], context: &Context)
                 owners.push((g, faces));
             }
         }
-        let doc = asset::write(&model.doc, &refined, context)?;
+        let doc = asset::write(&model.doc, &model.index, &refined, context)?;
         for (i, (g, faces)) in owners.into_iter().enumerate() {
             written[g].push((asset::read_back(&doc, &refined, i, context)?, faces.clone()));
         }

@@ -1,6 +1,6 @@
 //! `--recipe box_cutter` on real models: valid, whole, free of overlaps, and without a trace of the cuts in the picture.
 
-use intarsia::asset::{File, Limits, load, read};
+use intarsia::asset::{File, Limits, MaterialIndex, load, read};
 use intarsia::atlas::OverlapMode;
 use intarsia::atlas::{Atlas, Topology};
 use intarsia::context::Context;
@@ -34,7 +34,11 @@ fn model(outcome: &Outcome) -> &[u8] {
 fn atlas(glb: &[u8]) -> Atlas {
     let files = [File { path: "model.glb".to_owned(), bytes: glb.to_vec() }];
     let (doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
-    read(&doc, Options::default().atlas.reading(), &Context::silent()).expect("the model reads").swap_remove(0).atlas
+    let index = MaterialIndex::new(&doc).expect("the model is indexed");
+    read(&doc, &index, Options::default().atlas.reading(), &Context::silent())
+        .expect("the model reads")
+        .swap_remove(0)
+        .atlas
 }
 
 fn surface(atlas: &Atlas) -> f64 {

@@ -13,19 +13,20 @@ use crate::texture::{Format, Image, Role, Samples, encode, linear_to_srgb};
 /// Side of the texture that stands for factors, in texels.
 const SIDE: u32 = 4;
 
-/// Puts the factors of materials without textures into textures, where some textured material differs in nothing else. Gives the
-/// images made.
+/// Puts the factors of materials without textures into textures, where some textured material differs in nothing else; the
+/// index follows. Gives the images made.
 ///
 /// # Errors
 /// `invalid_model` for a broken accessor.
 pub(super) fn fold(
     doc: &mut Document,
+    index: &mut MaterialIndex,
     uv_set: usize,
     report: &mut [MergedMaterial],
 ) -> crate::error::Result<BTreeSet<usize>> {
     let mut made = BTreeSet::new();
+    let mut folded = Vec::new();
     let materials = array(&doc.json, "materials").to_vec();
-    let index = MaterialIndex::new(doc)?;
     let textured = |m: &usize| index.materials.get(*m).is_some_and(|s| !s.uses.is_empty());
     for (m, material) in materials.iter().enumerate().filter(|(m, _)| !textured(m)) {
         let mut say = |why: &str| {
@@ -33,7 +34,7 @@ pub(super) fn fold(
                 entry.kept = Some(why.to_owned());
             }
         };
-        let primitives = match readers(doc, &index, m, uv_set) {
+        let primitives = match readers(doc, index, m, uv_set) {
             Ok(primitives) => primitives,
             Err(why) => {
                 say(why);
@@ -65,6 +66,7 @@ pub(super) fn fold(
             }
         }
         doc.json["materials"][m] = changed;
+        folded.push(m);
         for pointer in primitives {
             let at = format!("{pointer}/attributes");
             let count = doc.json.pointer(&at).and_then(|a| a.get("POSITION")?.as_u64());
@@ -76,6 +78,7 @@ pub(super) fn fold(
             }
         }
     }
+    index.follow_materials(&doc.json, &folded)?;
     Ok(made)
 }
 

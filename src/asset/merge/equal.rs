@@ -11,8 +11,8 @@ use crate::asset::json::{array, object_mut};
 use crate::asset::material_index::MaterialIndex;
 use crate::error::Result;
 
-/// Textures name the first of images with equal bytes.
-pub(super) fn images(doc: &mut Document, index: &MaterialIndex) {
+/// Textures name the first of images with equal bytes; the index follows.
+pub(super) fn images(doc: &mut Document, index: &mut MaterialIndex) {
     let mut first: BTreeMap<[u8; 32], usize> = BTreeMap::new();
     let mut same: Vec<usize> = (0..doc.images.len()).collect();
     for (i, bytes) in doc.images.iter().enumerate() {
@@ -29,6 +29,11 @@ pub(super) fn images(doc: &mut Document, index: &MaterialIndex) {
                 renumber(source, &same);
             }
         }
+    }
+    let same = |image: usize| same.get(image).copied().unwrap_or(image);
+    for texture in &mut index.textures {
+        texture.image = texture.image.map(same);
+        texture.fallback = texture.fallback.map(same);
     }
 }
 
@@ -50,25 +55,27 @@ pub(super) fn samplers(doc: &mut Document) {
     }
 }
 
-/// Materials name the first of equal textures (names aside); the others are taken out.
+/// Materials name the first of equal textures (names aside); the others are taken out. The index follows.
 ///
 /// # Errors
 /// `invalid_model` for a broken texture info.
-pub(super) fn textures(doc: &mut Document) -> Result<()> {
-    let index = MaterialIndex::new(doc)?;
+pub(super) fn textures(doc: &mut Document, index: &mut MaterialIndex) -> Result<()> {
     let (same, first) = firsts(array(&doc.json, "textures"));
     let mut number = vec![None; same.len()];
     for (n, texture) in first.iter().enumerate() {
-        number[*texture] = Some(n as u64);
+        number[*texture] = Some(n);
     }
-    for (m, material) in index.materials.iter().enumerate() {
-        for used in &material.uses {
+    for (m, material) in index.materials.iter_mut().enumerate() {
+        for used in &mut material.uses {
             let new = same.get(used.texture).and_then(|t| number[*t]);
-            if let Some(new) = new.filter(|n| *n != used.texture as u64) {
+            if let Some(new) = new.filter(|n| *n != used.texture) {
                 object_mut(&mut doc.json, &format!("/materials/{m}{}", used.path))?.insert("index".into(), new.into());
+                used.texture = new;
             }
         }
     }
+    let mut kept = number.iter();
+    index.textures.retain(|_| kept.next().is_none_or(Option::is_some));
     if let Some(all) = doc.json.get_mut("textures").and_then(Value::as_array_mut) {
         let mut keep = number.iter();
         all.retain(|_| keep.next().is_none_or(Option::is_some));

@@ -67,21 +67,20 @@ pub struct MergedMaterial {
 #[derive(Debug, Clone)]
 pub struct Merge(Merged);
 
-/// Makes equal images and textures one, and textures of factors. `uv_set` is the TEXCOORD set that is refined. None, with the
+/// Makes equal images and textures one, and textures of factors; `index`, that of the document, follows. `uv_set` is the TEXCOORD set that is refined. None, with the
 /// document untouched, where an extension is not understood.
 ///
 /// # Errors
 /// `invalid_model` with a pointer for a broken document.
-pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
+pub fn prepare(doc: &mut Document, index: &mut MaterialIndex, uv_set: usize) -> Result<Option<Merge>> {
     let mut channels = array(&doc.json, "animations").iter().flat_map(|a| array(a, "channels"));
     // An animation by pointer names materials and textures one by one.
     if !extensions::all_understood(&doc.json) || channels.any(|c| c.pointer("/target/extensions").is_some()) {
         return Ok(None);
     }
-    let index = MaterialIndex::new(doc)?;
     let mut merged = Merged::default();
     merged.draw_calls.before = draw_calls(&doc.json);
-    [merged.images.before, merged.textures.before] = read_by_materials(&index);
+    [merged.images.before, merged.textures.before] = read_by_materials(index);
     let materials = array(&doc.json, "materials").iter().enumerate();
     merged.materials = materials
         .map(|(i, value)| MergedMaterial {
@@ -94,11 +93,11 @@ pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
         })
         .collect();
     let named = named_by_textures(doc);
-    equal::images(doc, &index);
+    equal::images(doc, index);
     let left = named_by_textures(doc);
     doc.merging.spare = named.difference(&left).copied().collect();
-    equal::textures(doc)?;
-    doc.merging.constants = constants::fold(doc, uv_set, &mut merged.materials)?;
+    equal::textures(doc, index)?;
+    doc.merging.constants = constants::fold(doc, index, uv_set, &mut merged.materials)?;
     Ok(Some(Merge(merged)))
 }
 
@@ -110,7 +109,8 @@ pub fn finish(doc: &mut Document, merge: Merge) -> Result<Merged> {
     let Merge(mut merged) = merge;
     let drawn = join::drawn(doc)?;
     equal::samplers(doc);
-    equal::textures(doc)?;
+    let mut index = MaterialIndex::new(doc)?;
+    equal::textures(doc, &mut index)?;
     let read = named_by_textures(doc);
     let gone: Vec<usize> = doc.merging.spare.difference(&read).copied().collect();
     drop_images(doc, &gone);
@@ -123,7 +123,7 @@ pub fn finish(doc: &mut Document, merge: Merge) -> Result<Merged> {
     if join::drawn(doc)? != drawn {
         return Err(Failure::internal("joining draw calls lost triangles or changed what they read"));
     }
-    let index = MaterialIndex::new(doc)?;
+    index.follow_primitives(&doc.json)?;
     merged.draw_calls.after = draw_calls(&doc.json);
     [merged.images.after, merged.textures.after] = read_by_materials(&index);
     Ok(merged)

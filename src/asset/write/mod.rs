@@ -64,15 +64,14 @@ pub struct BakedImage {
     pub shared: Option<String>,
 }
 
-/// Writes refined sets into a copy of the document that they were read from.
+/// Writes refined sets into a copy of the document that they were read from; `index` is that of the document.
 ///
 /// # Errors
 /// `invalid_model` for attributes of differing counts, `too_large` when the vertices grow beyond what a GLB can hold,
 /// `internal` where a set does not belong to the document or an image of it is missing, `canceled`.
-pub fn write(doc: &Document, sets: &[Refined<'_>], context: &Context) -> Result<Document> {
-    let index = MaterialIndex::new(doc)?;
+pub fn write(doc: &Document, index: &MaterialIndex, sets: &[Refined<'_>], context: &Context) -> Result<Document> {
     let mut out = doc.clone();
-    let mut textures = Textures::new(&index, sets, array(&doc.json, "images").len());
+    let mut textures = Textures::new(index, sets, array(&doc.json, "images").len());
     textures.place_images(&mut out)?;
     let faces: Vec<Vec<Vec<FaceId>>> = sets.iter().map(|s| faces_of(s.set, s.atlas)).collect::<Result<_>>()?;
     let lost: Vec<Vec<bool>> =

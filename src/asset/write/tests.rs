@@ -10,7 +10,7 @@ use crate::asset::{File, Limits, load, raw_elements, read, read_indices, read_ve
 use crate::atlas::{Charts, FaceId, Move, Provenance, Topology, UvId, VertexId};
 
 fn sets_of(doc: &Document) -> Vec<TextureSet> {
-    read(doc, ReadOptions::default(), &Context::silent()).unwrap()
+    read(doc, &MaterialIndex::new(doc).unwrap(), ReadOptions::default(), &Context::silent()).unwrap()
 }
 
 /// Charts moved as told, one page unless told.
@@ -41,7 +41,7 @@ fn baked(set: &TextureSet, pages: usize) -> Vec<BakedImage> {
 /// Writes one set, saves and loads it.
 fn round(doc: &Document, set: &TextureSet, atlas: &Atlas) -> Document {
     let refined = [Refined { set, atlas, images: baked(set, atlas.sheets.len()) }];
-    let out = write(doc, &refined, &Context::silent()).unwrap();
+    let out = write(doc, &MaterialIndex::new(doc).unwrap(), &refined, &Context::silent()).unwrap();
     let again = read_back(&out, &refined, 0, &Context::silent()).unwrap();
     assert_eq!(again.face_count(), atlas.face_count());
     for face in atlas.faces() {
@@ -383,7 +383,7 @@ fn real_models_keep_every_vertex_of_every_face() {
             .collect();
         let refined: Vec<Refined<'_>> =
             sets.iter().zip(&atlases).map(|(set, atlas)| Refined { set, atlas, images: baked(set, 2) }).collect();
-        let out = write(&doc, &refined, &Context::silent()).unwrap();
+        let out = write(&doc, &MaterialIndex::new(&doc).unwrap(), &refined, &Context::silent()).unwrap();
         for (i, one) in refined.iter().enumerate() {
             let again = read_back(&out, &refined, i, &Context::silent()).unwrap();
             for face in one.atlas.faces() {

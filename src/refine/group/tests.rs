@@ -38,7 +38,8 @@ fn artifact(outcome: &Outcome, name: &str) -> File {
 }
 
 fn sets(doc: &Document) -> Vec<TextureSet> {
-    asset::read(doc, ReadOptions::default(), &Context::silent()).unwrap()
+    let index = asset::MaterialIndex::new(doc).unwrap();
+    asset::read(doc, &index, ReadOptions::default(), &Context::silent()).unwrap()
 }
 
 /// Positions and base colours at points of a triangle.
