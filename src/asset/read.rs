@@ -2,17 +2,18 @@
 
 use super::geometry::{GeometryReader, PrimitiveGeometry, weld};
 use super::material_index::MaterialIndex;
-use super::sets::{Planned, grid, plan, written_set};
+use super::sets::{Planned, grid, plan, plan_unmapped, written_set};
 use super::uv_tiles::{leaves_tile, normalise_tiles};
 use super::{Document, PrimitiveRef, ReadOptions, TextureSet};
 use crate::atlas::{Atlas, FaceId, Provenance};
 use crate::context::Context;
-use crate::error::{Result, Warning};
+use crate::error::{Code, Result, Warning};
 
 /// Longest name of a texture set, in characters.
 const LONGEST_NAME: usize = 60;
 
-/// Reads every texture set of the layout `options.uv_set`; `index` is that of the document. What cannot be refined passes through with a warning on
+/// Reads every texture set of the layout `options.uv_set`, and behind them one without a layout, of the triangles without
+/// texture coordinates; `index` is that of the document. What cannot be refined passes through with a warning on
 /// the context; the result is empty when nothing can.
 ///
 /// # Errors
@@ -26,7 +27,41 @@ pub fn read(doc: &Document, index: &MaterialIndex, options: ReadOptions, context
             sets.push(set);
         }
     }
+    if let Some(planned) = plan_unmapped(doc, index) {
+        sets.extend(read_unmapped(doc, index, planned, sets.len(), &mut reader, context)?);
+    }
     Ok(sets)
+}
+
+/// The set of the triangles without texture coordinates. Primitives whose geometry is broken are not in it: nothing touches them.
+fn read_unmapped(
+    doc: &Document,
+    index: &MaterialIndex,
+    mut planned: Planned,
+    id: usize,
+    reader: &mut GeometryReader<'_>,
+    context: &Context,
+) -> Result<Option<TextureSet>> {
+    let mut geometries = Vec::new();
+    let mut whole = Vec::new();
+    for (p, layout) in planned.primitives {
+        let primitive = &index.primitives[p];
+        match reader.read(primitive.mesh, primitive.primitive, None, context) {
+            Ok(geometry) => {
+                geometries.push(geometry);
+                whole.push((p, layout));
+            }
+            Err(failure) if failure.code == Code::Canceled => return Err(failure),
+            Err(_) => {}
+        }
+    }
+    planned.primitives = whole;
+    let mut atlas = weld(&geometries, planned.reference, context)?;
+    if atlas.corners.is_empty() {
+        return Ok(None);
+    }
+    set_provenance(&mut atlas, &geometries);
+    Ok(Some(texture_set(doc, index, planned, id, atlas, geometries)))
 }
 
 fn read_set(
@@ -41,17 +76,13 @@ fn read_set(
     let mut geometries: Vec<PrimitiveGeometry> = Vec::new();
     for &(p, layout) in &planned.primitives {
         let primitive = &index.primitives[p];
-        geometries.push(reader.read(primitive.mesh, primitive.primitive, layout, context)?);
+        geometries.push(reader.read(primitive.mesh, primitive.primitive, Some(layout), context)?);
     }
     let mut atlas = weld(&geometries, planned.reference, context)?;
     if atlas.corners.is_empty() {
         return Ok(None);
     }
-    for (i, geometry) in geometries.iter().enumerate() {
-        let first = atlas.provenance.len();
-        let faces = first..first + geometry.corners.len();
-        atlas.provenance.extend(faces.map(|f| Provenance::whole(FaceId::new(f), i as u32)));
-    }
+    set_provenance(&mut atlas, &geometries);
     let left = |warning: Warning| {
         let first = planned.primitives.first().map(|&(p, _)| &index.primitives[p]);
         let at = planned.slots.first().map(|s| format!("/images/{}", s.image));
@@ -67,6 +98,27 @@ fn read_set(
     if let Err(warning) = normalise_tiles(&mut atlas, &planned.slots, planned.reference, options.tiling, constant) {
         return left(warning);
     }
+    Ok(Some(texture_set(doc, index, planned, id, atlas, geometries)))
+}
+
+/// Every face is a whole triangle of the primitive that it came from.
+fn set_provenance(atlas: &mut Atlas, geometries: &[PrimitiveGeometry]) {
+    for (i, geometry) in geometries.iter().enumerate() {
+        let first = atlas.provenance.len();
+        let faces = first..first + geometry.corners.len();
+        atlas.provenance.extend(faces.map(|f| Provenance::whole(FaceId::new(f), i as u32)));
+    }
+}
+
+/// The set of a finished Atlas.
+fn texture_set(
+    doc: &Document,
+    index: &MaterialIndex,
+    planned: Planned,
+    id: usize,
+    mut atlas: Atlas,
+    geometries: Vec<PrimitiveGeometry>,
+) -> TextureSet {
     let mut primitives = Vec::new();
     let mut first_face = 0;
     for (geometry, &(p, layout)) in geometries.into_iter().zip(&planned.primitives) {
@@ -91,7 +143,7 @@ fn read_set(
     let name = name(doc, index, &planned);
     let grid = grid(planned.reference, &planned.slots);
     let Planned { slots, reference, .. } = planned;
-    Ok(Some(TextureSet { id, name, atlas, reference, primitives, slots, grid }))
+    TextureSet { id, name, atlas, reference, primitives, slots, grid }
 }
 
 /// The first image, if any, that a primitive reads with several wrap modes outside the image, where they disagree.
@@ -132,7 +184,7 @@ mod tests {
     use super::*;
     use crate::asset::fixture::{attribute, bowtie, document, mesh, png, primitive};
     use crate::asset::{RawAccessor, mark_uniform, small_slot_warning};
-    use crate::error::{Code, Failure};
+    use crate::error::Failure;
     use crate::texture::Wrap;
     use serde_json::{Value, json};
 
@@ -328,6 +380,32 @@ mod tests {
         doc.json["images"] = json!([{}]);
         doc.images.push(Some(png(2, 2)));
         assert!(left(&doc).is_empty());
+    }
+
+    #[test]
+    fn surfaces_without_texture_coordinates_are_a_set_behind_the_others() {
+        let mut doc = model(&[[16, 8]]);
+        doc.push("materials", json!({ "name": "bare" }));
+        let positions = attribute(&mut doc, &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        let mut bare = primitive(&mut doc, &[("POSITION", positions)], &[]);
+        bare["material"] = Value::from(1);
+        let textured = primitive(&mut doc, &[("POSITION", positions)], &[]);
+        let broken = attribute(&mut doc, &[[f32::NAN; 3]; 3]);
+        let mut broken = primitive(&mut doc, &[("POSITION", broken)], &[]);
+        broken["material"] = Value::from(1);
+        let mut strange = bare.clone();
+        strange["extensions"] = json!({ "ACME_x": {} });
+        doc.json["meshes"][0]["primitives"].as_array_mut().unwrap().insert(0, bare);
+        mesh(&mut doc, vec![textured, broken, strange]);
+        let sets = sets_of(&doc);
+        assert_eq!(sets.iter().map(|s| s.atlas.has_layout()).collect::<Vec<_>>(), [true, false]);
+        let set = &sets[1];
+        assert_eq!((set.id, set.name.as_str(), set.slots.len(), set.reference), (1, "bare", 0, [1024, 1024]));
+        let places: Vec<_> = set.primitives.iter().map(|p| (p.mesh, p.primitive, p.written)).collect();
+        assert_eq!(places, [(0, 0, 0)], "one that reads a texture, one that is broken and one with an extension stay");
+        assert_eq!((set.atlas.face_count(), set.atlas.corners[0]), (1, [Atlas::NO_UV; 3]));
+        assert_eq!((set.atlas.uv.len(), set.atlas.surface.positions.len()), (0, 3));
+        assert_eq!((set.atlas.provenance.len(), set.atlas.page.len()), (1, 1));
     }
 
     #[test]

@@ -63,6 +63,27 @@ pub(crate) fn plan(doc: &Document, index: &MaterialIndex, uv_set: usize, context
     Ok(sets)
 }
 
+/// The triangles of a document without any texture coordinates, as one set without a layout: those of primitives whose
+/// materials read no texture, so that a layout may be made for them, and whose extensions are known.
+pub(crate) fn plan_unmapped(doc: &Document, index: &MaterialIndex) -> Option<Planned> {
+    let textured = |m: &usize| index.materials.get(*m).is_none_or(|m| !m.uses.is_empty() || m.untextured_anisotropy);
+    let unmapped = |primitive: &Primitive| {
+        let Some(value) = doc.json.pointer(&primitive.pointer()) else { return false };
+        let mut names = object(value, "attributes").into_iter().flat_map(|a| a.keys());
+        let mut extensions = object(value, "extensions").into_iter().flat_map(|e| e.keys());
+        primitive.is_triangles()
+            && primitive.positions.is_some()
+            && !names.any(|name| name.starts_with("TEXCOORD_"))
+            && !extensions.any(|name| on_primitive(name) == OnPrimitive::Unknown)
+            && !primitive.materials.iter().any(textured)
+    };
+    let layout = UvLayout::plain(0);
+    let found = index.primitives.iter().enumerate().filter(|(_, p)| unmapped(p));
+    let primitives: Vec<_> = found.map(|(p, _)| (p, layout)).collect();
+    let (slots, conflicts) = (Vec::new(), Vec::new());
+    (!primitives.is_empty()).then_some(Planned { primitives, slots, reference: VIRTUAL_SHEET, conflicts })
+}
+
 /// The uses of a material that are refined with a layout.
 pub(crate) fn refined_uses(
     index: &MaterialIndex,
@@ -89,7 +110,7 @@ pub(crate) fn written_set(
     if extended || materials.iter().any(|&m| all_uses(index, m).iter().any(read_on)) {
         let names = object(value, "attributes").into_iter().flat_map(|a| a.keys());
         let last = names.filter_map(|n| n.strip_prefix("TEXCOORD_")?.parse::<usize>().ok()).max();
-        return last.unwrap_or(0).saturating_add(1);
+        return last.map_or(layout.uv_set, |last| last.saturating_add(1));
     }
     layout.uv_set
 }

@@ -13,7 +13,8 @@ pub struct PrimitiveRef {
     pub primitive: usize,
     /// Index into `/materials`.
     pub material: Option<usize>,
-    /// The layout that is refined: the TEXCOORD set that is read, and its texture transform.
+    /// The layout that is refined: the TEXCOORD set that is read, and its texture transform. Where there is none, the one that a
+    /// stage would make.
     pub layout: UvLayout,
     /// Number of the TEXCOORD set that takes the new layout: the one that is read, or a new one where something else reads it on.
     pub written: usize,
@@ -34,7 +35,8 @@ pub struct TextureSet {
     pub id: usize,
     /// Name for people: the materials' names, or the model's.
     pub name: String,
-    /// The Atlas as uploaded, UV tiles normalised; one face for each triangle of each primitive, in order.
+    /// The Atlas as uploaded, UV tiles normalised; without a layout where its triangles have no texture coordinates. One face
+    /// for each triangle of each primitive, in order.
     pub atlas: Atlas,
     /// Size of the reference sheet: the size of the largest slot (or a virtual 1024 x 1024).
     pub reference: [u32; 2],

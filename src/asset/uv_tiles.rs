@@ -19,11 +19,12 @@ const LEAST_AREA: f64 = 1.0;
 const SLACK: f64 = 1.0;
 /// Stands for several charts.
 const SHARED: u32 = u32::MAX - 1;
-/// A set without images, whose UVs may be in any unit, may cover this many of its virtual sheets.
+/// A layout without images, whose UVs may be in any unit, keeps its scale up to this many of its virtual sheets.
 const MOST_VIRTUAL_SHEETS: f64 = 64.0;
 
 /// Moves charts by whole tiles into the first, where every slot repeats on that axis. `constant` says that the images are of
-/// one colour each, so that UVs without area read them well.
+/// one colour each, so that UVs without area read them well. A layout without images has no tiles, and any unit: one that is
+/// far larger or smaller than its virtual sheet is scaled to it.
 ///
 /// # Errors
 /// The warning with which the set passes through: a palette, or a chart that repeats its texture and may or can
@@ -35,10 +36,13 @@ pub(crate) fn normalise_tiles(
     tiling: Tiling,
     constant: bool,
 ) -> Result<(), Warning> {
-    let area: f64 = atlas.faces().map(|f| atlas.uv_area(f).abs()).sum();
-    if area < LEAST_AREA && !constant {
+    let area = || -> f64 { atlas.faces().map(|f| atlas.uv_area(f).abs()).sum() };
+    let no_area = || {
         let text = "the texture set is left as it is: its UVs have no area, so that it reads single texels";
-        return Err(Warning::new("palette_texture", text));
+        Warning::new("palette_texture", text)
+    };
+    if area() < LEAST_AREA && !constant && !slots.is_empty() {
+        return Err(no_area());
     }
     if !atlas.uv.iter().all(|p| p.is_finite()) {
         let text = "the texture set is left as it is: its texture transform throws UVs beyond all measure";
@@ -47,8 +51,15 @@ pub(crate) fn normalise_tiles(
     let size = DVec2::new(f64::from(sheet[0]), f64::from(sheet[1]));
     let charts = Charts::new(&Topology::new(atlas));
     let boxes: Vec<(DVec2, DVec2)> = charts.ids().map(|c| bounds(atlas, &charts.faces[c.index()])).collect();
+    if slots.is_empty() {
+        let scale = virtual_scale(&boxes, area(), size).ok_or_else(no_area)?;
+        if scale != 1.0 {
+            atlas.uv.iter_mut().for_each(|uv| *uv *= scale);
+        }
+        return Ok(());
+    }
     let wraps = chart_wraps(atlas, &charts, slots);
-    check_tiling(&boxes, &wraps, slots.is_empty(), size, tiling)?;
+    check_tiling(&boxes, &wraps, size, tiling)?;
     // By UV vertex: the chart that it belongs to, and its copy for the chart that is being moved.
     let mut owner = vec![u32::MAX; atlas.uv.len()];
     let mut copy = vec![(u32::MAX, UvId(0)); atlas.uv.len()];
@@ -158,13 +169,20 @@ fn bounds(atlas: &Atlas, faces: &[FaceId]) -> (DVec2, DVec2) {
     faces.iter().flat_map(|f| atlas.uv_triangle(*f)).fold(start, |(low, high), p| (low.min(p), high.max(p)))
 }
 
-fn check_tiling(
-    boxes: &[(DVec2, DVec2)],
-    wraps: &[[WrapUse; 2]],
-    is_virtual: bool,
-    size: DVec2,
-    tiling: Tiling,
-) -> Result<(), Warning> {
+/// What a layout without images is scaled by; none where it has no area in any unit. `area` is that of its triangles.
+fn virtual_scale(boxes: &[(DVec2, DVec2)], area: f64, size: DVec2) -> Option<f64> {
+    let sum: f64 = boxes.iter().map(|(low, high)| (*high - *low).element_product()).sum();
+    let sheets = sum / size.element_product();
+    let larger = boxes.iter().any(|(low, high)| (*high - *low - size).max_element() > SLACK);
+    if area >= LEAST_AREA && (!larger || sheets <= MOST_VIRTUAL_SHEETS) {
+        return Some(1.0);
+    }
+    // A power of two, so that coordinates keep their digits.
+    let scale = sheets.sqrt().recip().log2().floor().exp2();
+    (scale.is_finite() && area * scale * scale >= LEAST_AREA).then_some(scale)
+}
+
+fn check_tiling(boxes: &[(DVec2, DVec2)], wraps: &[[WrapUse; 2]], size: DVec2, tiling: Tiling) -> Result<(), Warning> {
     let larger = |axis: usize| boxes.iter().any(|(low, high)| high[axis] - low[axis] > size[axis] + SLACK);
     let repeats = |(bounds, wrap): (&(DVec2, DVec2), &[WrapUse; 2])| {
         let (low, high) = bounds;
@@ -177,13 +195,12 @@ fn check_tiling(
     }
     let sum: f64 = boxes.iter().map(|(low, high)| (*high - *low).element_product()).sum();
     let sheets = sum / size.element_product();
-    let most = if is_virtual { MOST_VIRTUAL_SHEETS } else { MOST_SHEETS };
-    // Not a number where coordinates are beyond all measure.
     // Small textures may be repeated more often.
-    let many = sheets > most && (is_virtual || sum > MOST_TEXELS);
+    let many = sheets > MOST_SHEETS && sum > MOST_TEXELS;
+    // Not a number where coordinates are beyond all measure.
     if (larger(0) || larger(1)) && (many || sheets.is_nan()) {
         let text = format!(
-            "the texture set is left as it is: its charts spread over {sheets:.1} sheets, and at most {most} are made, or \
+            "the texture set is left as it is: its charts spread over {sheets:.1} sheets, and at most {MOST_SHEETS} are made, or \
              {MOST_TEXELS} texels"
         );
         return Err(Warning::new("tiling_too_large", text));
@@ -253,6 +270,21 @@ mod tests {
         normalise_tiles(&mut atlas, &[slot(0, SHEET)], SHEET, Tiling::Bake, false).unwrap();
         assert_eq!([0, 1].map(|f| atlas.uv_area(FaceId(f))), before);
         assert_eq!(atlas.uv_triangle(FaceId(1))[0], DVec2::new(10.0, 5.0));
+    }
+
+    #[test]
+    fn a_layout_without_images_has_any_unit() {
+        let scaled = |places: &[(f64, f64, f64)]| {
+            let mut atlas = triangles(places);
+            normalise_tiles(&mut atlas, &[], SHEET, Tiling::Leave, false).map_err(|w| w.code)?;
+            Ok::<f64, String>(atlas.uv[1].x - atlas.uv[0].x)
+        };
+        assert_eq!(scaled(&[(310.0, -140.0, 20.0)]), Ok(20.0), "within reason it stays");
+        assert_eq!(scaled(&[(0.0, 0.0, 400.0)]), Ok(400.0));
+        assert_eq!(scaled(&[(5e6, 0.0, 3000.0), (9e6, 0.0, 4000.0)]), Ok(3000.0 / 128.0), "millimetres");
+        assert_eq!(scaled(&[(0.0, 0.0, 0.01)]), Ok(0.01 * 4096.0), "kilometres");
+        assert_eq!(scaled(&[(0.0, 0.0, 1e30)]).map(|side| (10.0..100.0).contains(&side)), Ok(true));
+        assert_eq!(scaled(&[(3.0, 3.0, 0.0)]), Err("palette_texture".to_owned()));
     }
 
     #[test]

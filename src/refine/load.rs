@@ -71,16 +71,20 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
         context.step(0.9 * (index + 1) as f64 / count as f64, "reading models")?;
     }
     context.speak_of(None);
-    if sets.is_empty() && context.warnings().is_empty() {
+    // Surfaces without a layout are numbered after all others.
+    sets.sort_by_key(|(_, set)| !set.atlas.has_layout());
+    let mapped = sets.iter().filter(|(_, set)| set.atlas.has_layout()).count();
+    if mapped == 0 && context.warnings().is_empty() {
         context.warn(nothing_to_refine(&loaded.models, options.atlas.uv_set));
     }
     let weights = match &options.importance {
         Some(source) => {
-            let subjects: Vec<Subject<'_>> = sets
+            let subjects: Vec<Subject<'_>> = sets[..mapped]
                 .iter()
                 .map(|(model, set)| Subject { doc: &loaded.models[*model].doc, files: &input.models[*model], set })
                 .collect();
-            importances(source, &subjects, &input.limits, context)?.into_iter().map(Some).collect()
+            let own = importances(source, &subjects, &input.limits, context)?;
+            own.into_iter().map(Some).chain((mapped..sets.len()).map(|_| None)).collect()
         }
         None => vec![None; sets.len()],
     };
@@ -90,7 +94,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
         (true, 1) => Join::Nothing,
         _ => Join::All,
     };
-    for (model, set) in sets.iter().filter(|(_, set)| join != Join::Nothing && !can_join(set)) {
+    for (model, set) in sets[..mapped].iter().filter(|(_, set)| join != Join::Nothing && !can_join(set)) {
         loaded.speak_of(*model, context);
         let text = format!("the charts of {} spread too far for a shared sheet: it keeps its own atlas", set.name);
         context.warn(Warning::new("not_joined", text));

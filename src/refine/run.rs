@@ -101,7 +101,8 @@ pub fn refine(input: &Input, options: &Options, context: &Context) -> Result<Out
     let mut run_stages = || {
         for (n, stage) in stages.iter().enumerate() {
             context.enter(1 + n);
-            for refinement in &mut refinements {
+            // A stage that reads UVs leaves surfaces that have none.
+            for refinement in refinements.iter_mut().filter(|r| r.atlas.has_layout()) {
                 run_stage(stage, refinement, options, context)?;
             }
         }

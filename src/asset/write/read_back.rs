@@ -30,7 +30,7 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
                 0 => primitive.primitive,
                 _ => appended.get(&(index, p)).map_or(usize::MAX, |first| first + n - 1),
             };
-            let geometry = reader.read(primitive.mesh, number, UvLayout::plain(primitive.written), context)?;
+            let geometry = reader.read(primitive.mesh, number, Some(UvLayout::plain(primitive.written)), context)?;
             let own: Vec<FaceId> = faces[p].iter().copied().filter(|f| after.page[f.index()] == page).collect();
             if own.len() != geometry.corners.len() {
                 let text = format!("{} triangles were written, and {} are read", own.len(), geometry.corners.len());
