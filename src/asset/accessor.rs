@@ -1,8 +1,8 @@
 //! Typed and raw reading of accessors: any component type, stride, sparse, normalised or not.
 
-use super::Document;
+use super::accessor_layout::{self, AccessorLayout, SparseLayout};
 use super::accessor_type::{ComponentType, Kind};
-use super::structure::{self, Accessor, Sparse};
+use super::document::Document;
 use crate::error::{Failure, Result};
 
 /// The elements of an accessor, tightly packed, for copying without loss.
@@ -80,7 +80,7 @@ pub struct Shape {
 /// # Errors
 /// `invalid_model` when there is no such accessor or a field of it is broken.
 pub fn accessor_shape(doc: &Document, accessor: usize) -> Result<Shape> {
-    let found = structure::accessor(&doc.json, accessor)?;
+    let found = accessor_layout::accessor(&doc.json, accessor)?;
     Ok(Shape { component_type: found.component, kind: found.kind, normalized: found.normalized, count: found.count })
 }
 
@@ -177,7 +177,7 @@ fn unsigned(component: ComponentType, data: &[u8]) -> Option<Vec<u32>> {
 /// # Errors
 /// `invalid_model` with a pointer, when the accessor or its sparse part is broken or leaves its buffer.
 pub fn raw_elements(doc: &Document, accessor: usize) -> Result<RawAccessor> {
-    let found = structure::accessor(&doc.json, accessor)?;
+    let found = accessor_layout::accessor(&doc.json, accessor)?;
     let size = found.element_size();
     let mut data = dense(doc, &found, accessor)?;
     if let Some(sparse) = &found.sparse {
@@ -193,11 +193,11 @@ pub fn raw_elements(doc: &Document, accessor: usize) -> Result<RawAccessor> {
     })
 }
 
-fn dense(doc: &Document, accessor: &Accessor, index: usize) -> Result<Vec<u8>> {
+fn dense(doc: &Document, accessor: &AccessorLayout, index: usize) -> Result<Vec<u8>> {
     let size = accessor.element_size();
     let Some(number) = accessor.view else { return Ok(vec![0; accessor.count * size]) };
-    let view = structure::view(&doc.json, number)?;
-    let stride = structure::extent(accessor, &view, index)?;
+    let view = accessor_layout::view(&doc.json, number)?;
+    let stride = accessor_layout::extent(accessor, &view, index)?;
     let bytes = doc.view_bytes(number)?.get(accessor.offset..).unwrap_or_default();
     if stride == size {
         return Ok(bytes.get(..accessor.count * size).unwrap_or_default().to_vec());
@@ -209,7 +209,7 @@ fn dense(doc: &Document, accessor: &Accessor, index: usize) -> Result<Vec<u8>> {
     Ok(data)
 }
 
-fn replace(doc: &Document, sparse: &Sparse, data: &mut [u8], size: usize, index: usize) -> Result<()> {
+fn replace(doc: &Document, sparse: &SparseLayout, data: &mut [u8], size: usize, index: usize) -> Result<()> {
     let pointer = |name: &str| format!("/accessors/{index}/sparse/{name}");
     let part = |(view, offset): (usize, usize), size: usize, name: &str| {
         let bytes = doc.view_bytes(view)?;
@@ -244,7 +244,7 @@ impl Document {
     /// # Errors
     /// `invalid_model` with a pointer when there is no such view or it leaves its buffer.
     pub fn view_bytes(&self, view: usize) -> Result<&[u8]> {
-        let found = structure::view(&self.json, view)?;
+        let found = accessor_layout::view(&self.json, view)?;
         let end = found.offset.checked_add(found.length);
         self.buffers
             .get(found.buffer)

@@ -2,9 +2,9 @@
 
 use serde_json::{Map, Number, Value, json};
 
-use super::Document;
 use super::accessor::RawAccessor;
 use super::accessor_type::ComponentType;
+use super::document::Document;
 
 /// `bufferView.target` of vertex attributes.
 pub const ARRAY_BUFFER: u32 = 34962;

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::io::{BufRead, BufReader, Cursor, Read};
 
-use super::upload::Entry;
+use super::upload::UploadEntry;
 use super::uri::{file_name, normalise, quote};
 use crate::error::{Code, Failure, Result};
 
@@ -20,7 +20,7 @@ pub(crate) fn is_zip(bytes: &[u8]) -> bool {
 /// # Errors
 /// `invalid_model` when the archive is damaged, encrypted or names paths outside itself; `too_large` beyond `left` bytes or
 /// 10,000 entries.
-pub(crate) fn unpack(path: &str, bytes: &[u8], left: &mut u64) -> Result<Vec<Entry<'static>>> {
+pub(crate) fn unpack(path: &str, bytes: &[u8], left: &mut u64) -> Result<Vec<UploadEntry<'static>>> {
     let damaged = |what: String| Failure::model(format!("the archive {} cannot be read: {what}", quote(path)));
     check_entries(path, bytes)?;
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|e| damaged(e.to_string()))?;
@@ -45,7 +45,7 @@ pub(crate) fn unpack(path: &str, bytes: &[u8], left: &mut u64) -> Result<Vec<Ent
             .read_to_end(&mut bytes)
             .map_err(|e| damaged(format!("{}: {e}", quote(&name))))?;
         *left = left.checked_sub(bytes.len() as u64).ok_or_else(|| too_much(path))?;
-        entries.push(Entry { path: clean, bytes: Cow::Owned(bytes) });
+        entries.push(UploadEntry { path: clean, bytes: Cow::Owned(bytes) });
     }
     Ok(entries)
 }

@@ -3,7 +3,7 @@
 use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
 
-use super::merge::Merging;
+use super::document::Merging;
 use super::{ARRAY_BUFFER, Document, RawAccessor};
 use crate::texture::{Alpha, Format, Header, Role, Wrap, encode};
 use crate::texture::{Reading, Slot};

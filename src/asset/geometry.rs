@@ -5,46 +5,49 @@ use std::rc::Rc;
 
 use glam::{DVec2, DVec3};
 
-use super::Document;
 use super::accessor::{accessor_count, read_indices, read_vec2, read_vec3};
+use super::document::Document;
 use super::json::{array, index};
-use super::scan::primitive_pointer;
-use super::transform::{Layout, Transform};
+use super::primitive::primitive_pointer;
+use super::transform::{TextureTransform, UvLayout};
 use crate::atlas::{Atlas, UvId, VertexId};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
 
+/// Accessors of positions and, where there are any, UVs.
+type VertexAccessors = (usize, Option<usize>);
+
 /// A primitive's triangles, with what an Atlas needs of its vertices.
 #[derive(Debug)]
-pub(crate) struct Geometry {
+pub(crate) struct PrimitiveGeometry {
     /// Index into `/meshes`: vertices of different meshes are never welded.
     pub(crate) mesh: usize,
-    /// Accessors of positions and UVs.
-    pub(crate) accessors: (usize, usize),
+    /// Where its vertices come from.
+    pub(crate) accessors: VertexAccessors,
     /// Position by glTF vertex, finite.
     pub(crate) positions: Rc<Vec<[f32; 3]>>,
-    /// UV by glTF vertex, finite, as stored.
-    pub(crate) uvs: Rc<Vec<[f32; 2]>>,
+    /// UV by glTF vertex, finite, as stored; none where the primitive has no layout.
+    pub(crate) uvs: Option<Rc<Vec<[f32; 2]>>>,
     /// What is done to the UVs before a texture is read.
-    pub(crate) transform: Transform,
+    pub(crate) transform: TextureTransform,
     /// glTF vertices of each triangle.
     pub(crate) corners: Vec<[u32; 3]>,
 }
 
 /// Reads primitives; accessors that several share are read once.
-pub(crate) struct Reader<'a> {
+pub(crate) struct GeometryReader<'a> {
     doc: &'a Document,
     positions: HashMap<usize, Rc<Vec<[f32; 3]>>>,
     uvs: HashMap<usize, Rc<Vec<[f32; 2]>>>,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> GeometryReader<'a> {
     /// A reader of `doc`.
     pub(crate) fn new(doc: &'a Document) -> Self {
-        Reader { doc, positions: HashMap::new(), uvs: HashMap::new() }
+        GeometryReader { doc, positions: HashMap::new(), uvs: HashMap::new() }
     }
 
-    /// Triangles, positions and texture coordinates of a triangle primitive.
+    /// Triangles and positions of a triangle primitive, and its texture coordinates through `layout`, where it has one.
     ///
     /// # Errors
     /// `invalid_model` with the accessor's pointer: index out of range, counts that differ, numbers that are
@@ -53,10 +56,9 @@ impl<'a> Reader<'a> {
         &mut self,
         mesh: usize,
         primitive: usize,
-        layout: Layout,
+        layout: Option<UvLayout>,
         context: &Context,
-    ) -> Result<Geometry> {
-        let Layout { uv_set, transform } = layout;
+    ) -> Result<PrimitiveGeometry> {
         context.check()?;
         let pointer = primitive_pointer(mesh, primitive);
         let value = self.doc.json.pointer(&pointer);
@@ -67,13 +69,17 @@ impl<'a> Reader<'a> {
             let found = value.get("attributes").map(|a| index(a, name, accessors, &at)).transpose()?.flatten();
             found.ok_or_else(|| Failure::model(format!("the primitive has no {name}")).at(at))
         };
-        let name = format!("TEXCOORD_{uv_set}");
-        let (p, t) = (attribute("POSITION")?, attribute(&name)?);
+        let name = layout.map(|l| format!("TEXCOORD_{}", l.uv_set));
+        let (p, t) = (attribute("POSITION")?, name.as_deref().map(attribute).transpose()?);
         let positions = cached(&mut self.positions, p, || read_vec3(self.doc, p), "POSITION")?;
-        let uvs = cached(&mut self.uvs, t, || read_vec2(self.doc, t), &name)?;
-        if positions.len() != uvs.len() {
-            let text = format!("{name} has {} elements, POSITION has {}", uvs.len(), positions.len());
-            return Err(Failure::model(text).at(format!("{pointer}/attributes/{name}")));
+        let mut uvs = None;
+        if let (Some(t), Some(name)) = (t, name) {
+            let own = cached(&mut self.uvs, t, || read_vec2(self.doc, t), &name)?;
+            if positions.len() != own.len() {
+                let text = format!("{name} has {} elements, POSITION has {}", own.len(), positions.len());
+                return Err(Failure::model(text).at(format!("{pointer}/attributes/{name}")));
+            }
+            uvs = Some(own);
         }
         let mode = value.get("mode").and_then(serde_json::Value::as_u64).unwrap_or(4);
         let indices = index(value, "indices", accessors, &pointer)?;
@@ -86,11 +92,13 @@ impl<'a> Reader<'a> {
             let at = indices.map_or(pointer, |i| format!("/accessors/{i}"));
             return Err(Failure::model(text).at(at));
         }
-        if mode == 4 && order.len() % 3 != 0 {
+        // What has no layout stays as it is, and loses nothing.
+        if mode == 4 && order.len() % 3 != 0 && layout.is_some() {
             let text = format!("{} indices are no whole number of triangles: the last are ignored", order.len());
             context.warn(Warning::new("trailing_indices", text).at(pointer));
         }
-        Ok(Geometry { mesh, accessors: (p, t), positions, uvs, transform, corners: triangles(mode, &order) })
+        let transform = layout.map_or(TextureTransform::IDENTITY, |l| l.transform);
+        Ok(PrimitiveGeometry { mesh, accessors: (p, t), positions, uvs, transform, corners: triangles(mode, &order) })
     }
 }
 
@@ -152,20 +160,24 @@ type Ids = (u32, u32);
 
 /// Ids by glTF vertex. A thousand meshes may each use three vertices of an accessor of millions: those that use few are
 /// hashed.
-enum Table {
+enum VertexIds {
     Dense(Vec<Ids>),
     Few(HashMap<u32, Ids>),
 }
 
-impl Table {
+impl VertexIds {
     fn new(vertices: usize, faces: usize) -> Self {
-        if faces < vertices / 16 { Table::Few(HashMap::new()) } else { Table::Dense(vec![(u32::MAX, 0); vertices]) }
+        if faces < vertices / 16 {
+            VertexIds::Few(HashMap::new())
+        } else {
+            VertexIds::Dense(vec![(u32::MAX, 0); vertices])
+        }
     }
 
     fn get_or_insert_with(&mut self, vertex: u32, make: impl FnOnce() -> Ids) -> &Ids {
         match self {
-            Table::Few(known) => known.entry(vertex).or_insert_with(make),
-            Table::Dense(known) => {
+            VertexIds::Few(known) => known.entry(vertex).or_insert_with(make),
+            VertexIds::Dense(known) => {
                 let ids = &mut known[vertex as usize];
                 if ids.0 == u32::MAX {
                     *ids = make();
@@ -177,11 +189,12 @@ impl Table {
 }
 
 /// The Atlas of some primitives: positions welded within a mesh where they are equal bit by bit, UVs within a
-/// welded vertex; UVs transformed and scaled to `size` texels. No provenance, page or sheet yet.
+/// welded vertex; UVs transformed and scaled to `size` texels. All primitives have UVs, or none has. No provenance, page or
+/// sheet yet.
 ///
 /// # Errors
 /// `too_large` when 32 bits cannot count the corners.
-pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -> Result<Atlas> {
+pub(crate) fn weld(primitives: &[PrimitiveGeometry], size: [u32; 2], context: &Context) -> Result<Atlas> {
     let faces: usize = primitives.iter().map(|g| g.corners.len()).sum();
     if faces >= (u32::MAX / 3) as usize {
         return Err(too_many());
@@ -192,22 +205,23 @@ pub(crate) fn weld(primitives: &[Geometry], size: [u32; 2], context: &Context) -
     let mut vertices: HashMap<(usize, [u32; 3]), u32> = HashMap::new();
     let mut uvs: HashMap<(u32, [u64; 2]), u32> = HashMap::new();
     // By mesh, accessors and transform: the ids of each glTF vertex, once it is used.
-    let mut tables: HashMap<(usize, (usize, usize), Transform), Table> = HashMap::new();
+    let mut tables: HashMap<(usize, VertexAccessors, TextureTransform), VertexIds> = HashMap::new();
     for geometry in primitives {
         context.check()?;
         let known = tables
             .entry((geometry.mesh, geometry.accessors, geometry.transform))
-            .or_insert_with(|| Table::new(geometry.positions.len(), geometry.corners.len()));
+            .or_insert_with(|| VertexIds::new(geometry.positions.len(), geometry.corners.len()));
         for corners in &geometry.corners {
             let mut ids = [(0, 0); 3];
             for (id, &v) in ids.iter_mut().zip(corners) {
                 *id = *known.get_or_insert_with(v, || {
-                    let uv = geometry.transform.apply(geometry.uvs[v as usize]);
                     let position = geometry.positions[v as usize];
                     let vertex = *vertices.entry((geometry.mesh, bits(position))).or_insert_with(|| {
                         atlas.surface.positions.push(DVec3::from(position.map(f64::from)));
                         atlas.surface.positions.len() as u32 - 1
                     });
+                    let Some(own) = &geometry.uvs else { return (vertex, Atlas::NO_UV.0) };
+                    let uv = geometry.transform.apply(own[v as usize]);
                     let uv = *uvs.entry((vertex, uv_bits(uv))).or_insert_with(|| {
                         atlas.uv.push(uv * scale);
                         atlas.uv.len() as u32 - 1

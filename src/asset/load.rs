@@ -1,15 +1,15 @@
-//! From uploaded files to a [`Document`]: the model is found, taken apart and checked, and what it names is gathered.
+//! From uploaded files to a [`Document`]: the model is found, parsed and checked, and its buffers and images are collected.
 
 use std::borrow::Cow;
 
 use serde_json::Value;
 
 use super::archive;
+use super::buffers::resolve;
 use super::glb;
 use super::limits::Limits;
 use super::obj;
-use super::resolve::resolve;
-use super::upload::{Entry, Upload, clean_path};
+use super::upload::{Upload, UploadEntry, clean_path};
 use super::uri::{self, quote};
 use super::{Document, File};
 use crate::error::{Code, Failure, Result, Warning};
@@ -97,7 +97,7 @@ fn unpack<'a>(files: &'a [File], limits: &Limits) -> Result<Upload<'a>> {
             // The archive itself was counted; its contents have the whole limit, shared by all archives.
             continue;
         }
-        entries.push(Entry { path: clean_path(&file.path, index), bytes: Cow::Borrowed(file.bytes.as_slice()) });
+        entries.push(UploadEntry { path: clean_path(&file.path, index), bytes: Cow::Borrowed(file.bytes.as_slice()) });
     }
     let mut left = limits.max_input_bytes;
     for file in files.iter().filter(|f| archive::is_zip(&f.bytes)) {
@@ -106,7 +106,7 @@ fn unpack<'a>(files: &'a [File], limits: &Limits) -> Result<Upload<'a>> {
     Ok(Upload::new(entries))
 }
 
-fn find_model<'u, 'a>(upload: &'u Upload<'a>, main: Option<&str>) -> Result<(&'u Entry<'a>, Container)> {
+fn find_model<'u, 'a>(upload: &'u Upload<'a>, main: Option<&str>) -> Result<(&'u UploadEntry<'a>, Container)> {
     if let Some(main) = main {
         let entry = upload.find(&clean_path(main, 0)).ok_or_else(|| {
             Failure::new(Code::MissingFile, format!("the model {} is not among the files", quote(main)))
@@ -131,7 +131,7 @@ fn find_model<'u, 'a>(upload: &'u Upload<'a>, main: Option<&str>) -> Result<(&'u
     }
 }
 
-fn not_a_model(entry: &Entry<'_>) -> Failure {
+fn not_a_model(entry: &UploadEntry<'_>) -> Failure {
     if entry.bytes.is_empty() {
         return Failure::model(format!("the file {} is empty", quote(&entry.path)));
     }
@@ -139,7 +139,7 @@ fn not_a_model(entry: &Entry<'_>) -> Failure {
 }
 
 /// What a file is, by its first bytes, then its name, and where `guess` is set by how its text looks.
-pub(crate) fn container(entry: &Entry<'_>, guess: bool) -> Option<Container> {
+pub(crate) fn container(entry: &UploadEntry<'_>, guess: bool) -> Option<Container> {
     let bytes = &*entry.bytes;
     if bytes.starts_with(glb::MAGIC) {
         return Some(Container::Glb);

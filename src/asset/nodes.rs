@@ -38,31 +38,31 @@ fn indices(value: &Value, key: &str, count: usize, pointer: &str) -> Result<Vec<
 /// Depth first, with a stack of its own: graphs may be as deep as they have nodes.
 fn no_circle(children: &[Vec<usize>]) -> Result<()> {
     #[derive(Clone, Copy, PartialEq)]
-    enum State {
+    enum VisitState {
         New,
         Open,
         Done,
     }
-    let mut state = vec![State::New; children.len()];
+    let mut state = vec![VisitState::New; children.len()];
     for root in 0..children.len() {
         let mut path: Vec<(usize, usize)> = Vec::new();
-        if state[root] == State::New {
-            state[root] = State::Open;
+        if state[root] == VisitState::New {
+            state[root] = VisitState::Open;
             path.push((root, 0));
         }
         while let Some((node, next)) = path.last_mut() {
             let Some(&child) = children[*node].get(*next) else {
-                state[*node] = State::Done;
+                state[*node] = VisitState::Done;
                 path.pop();
                 continue;
             };
-            if state[child] == State::Open {
+            if state[child] == VisitState::Open {
                 let text = format!("node {child} is its own descendant: the nodes form a circle");
                 return Err(Failure::model(text).at(format!("/nodes/{node}/children/{next}")));
             }
             *next += 1;
-            if state[child] == State::New {
-                state[child] = State::Open;
+            if state[child] == VisitState::New {
+                state[child] = VisitState::Open;
                 path.push((child, 0));
             }
         }

@@ -1,37 +1,11 @@
 //! Buffer views and accessors that nothing refers to any more: found and taken out.
+//!
+//! References are looked for where `each_accessor` and `each_view` look, which is everywhere if
+//! [`super::extensions::all_understood`].
 
 use serde_json::Value;
 
-use super::resolve::is_handled;
-
-/// Extensions that are not handled but are known to refer to neither accessors nor buffer views.
-const HARMLESS: [&str; 4] = ["EXT_texture_avif", "KHR_animation_pointer", "KHR_node_visibility", "KHR_xmp_json_ld"];
-
-/// Whether every reference to an accessor or buffer view stands where [`each_accessor`] and [`each_view`] look: no
-/// extension is used, declared or not, that could hold others.
-pub(crate) fn is_understood(json: &Value) -> bool {
-    let known = |name: &str| is_handled(name) || HARMLESS.contains(&name);
-    let declared =
-        ["extensionsUsed", "extensionsRequired"].into_iter().filter_map(|k| json.get(k)?.as_array()).flatten();
-    if !declared.filter_map(Value::as_str).all(known) {
-        return false;
-    }
-    let mut stack = vec![json];
-    while let Some(value) = stack.pop() {
-        match value {
-            Value::Array(values) => stack.extend(values),
-            Value::Object(object) => {
-                let extensions = object.get("extensions").and_then(Value::as_object);
-                if extensions.is_some_and(|e| !e.keys().all(|name| known(name))) {
-                    return false;
-                }
-                stack.extend(object.iter().filter(|(key, _)| *key != "extras").map(|(_, value)| value));
-            }
-            _ => {}
-        }
-    }
-    true
-}
+use super::extensions::GPU_INSTANCING;
 
 /// Takes out accessors and buffer views that nothing refers to, and numbers the others anew. Gives which of the
 /// views stay; none, with the document untouched, when a reference is broken.
@@ -113,8 +87,9 @@ fn each_accessor(json: &mut Value, f: &mut dyn FnMut(&mut Value)) {
     for skin in objects(json, "skins") {
         field(skin, "inverseBindMatrices", f);
     }
+    let instances = format!("/extensions/{GPU_INSTANCING}/attributes");
     for node in objects(json, "nodes") {
-        fields(node.pointer_mut("/extensions/EXT_mesh_gpu_instancing/attributes"), f);
+        fields(node.pointer_mut(&instances), f);
     }
 }
 

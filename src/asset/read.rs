@@ -1,60 +1,90 @@
 //! From a document to its texture sets.
 
-use super::geometry::{Geometry, Reader, weld};
-use super::home::{bring_home, leaves_tile};
-use super::scan::{Scan, scan};
-use super::sets::{Planned, grid, plan, written_set};
+use super::geometry::{GeometryReader, PrimitiveGeometry, weld};
+use super::material_index::MaterialIndex;
+use super::sets::{Planned, grid, plan, plan_unmapped, written_set};
+use super::uv_tiles::{leaves_tile, normalise_tiles};
 use super::{Document, PrimitiveRef, ReadOptions, TextureSet};
 use crate::atlas::{Atlas, FaceId, Provenance};
 use crate::context::Context;
-use crate::error::{Result, Warning};
+use crate::error::{Code, Result, Warning};
 
 /// Longest name of a texture set, in characters.
 const LONGEST_NAME: usize = 60;
 
-/// Reads every texture set of the layout `options.uv_set`. What cannot be refined passes through with a warning on
+/// Reads every texture set of the layout `options.uv_set`, and behind them one without a layout, of the triangles without
+/// texture coordinates; `index` is that of the document. What cannot be refined passes through with a warning on
 /// the context; the result is empty when nothing can.
 ///
 /// # Errors
 /// `invalid_model` with a pointer for indices out of range, attribute counts that differ and numbers that are not
 /// finite; `too_large` when 32 bits cannot count the corners; `canceled`.
-pub fn read(doc: &Document, options: ReadOptions, context: &Context) -> Result<Vec<TextureSet>> {
-    let scan = scan(doc)?;
-    let mut reader = Reader::new(doc);
+pub fn read(doc: &Document, index: &MaterialIndex, options: ReadOptions, context: &Context) -> Result<Vec<TextureSet>> {
+    let mut reader = GeometryReader::new(doc);
     let mut sets = Vec::new();
-    for planned in plan(doc, &scan, options.uv_set as usize, context)? {
-        if let Some(set) = read_set(doc, &scan, planned, sets.len(), options, &mut reader, context)? {
+    for planned in plan(doc, index, options.uv_set as usize, context)? {
+        if let Some(set) = read_set(doc, index, planned, sets.len(), options, &mut reader, context)? {
             sets.push(set);
         }
+    }
+    if let Some(planned) = plan_unmapped(doc, index) {
+        sets.extend(read_unmapped(doc, index, planned, sets.len(), &mut reader, context)?);
     }
     Ok(sets)
 }
 
+/// The set of the triangles without texture coordinates. Primitives whose geometry is broken are not in it: nothing touches them.
+fn read_unmapped(
+    doc: &Document,
+    index: &MaterialIndex,
+    mut planned: Planned,
+    id: usize,
+    reader: &mut GeometryReader<'_>,
+    context: &Context,
+) -> Result<Option<TextureSet>> {
+    let mut geometries = Vec::new();
+    let mut whole = Vec::new();
+    for (p, layout) in planned.primitives {
+        let primitive = &index.primitives[p];
+        match reader.read(primitive.mesh, primitive.primitive, None, context) {
+            Ok(geometry) => {
+                geometries.push(geometry);
+                whole.push((p, layout));
+            }
+            Err(failure) if failure.code == Code::Canceled => return Err(failure),
+            Err(_) => {}
+        }
+    }
+    planned.primitives = whole;
+    let mut atlas = weld(&geometries, planned.reference, context)?;
+    if atlas.corners.is_empty() {
+        return Ok(None);
+    }
+    set_provenance(&mut atlas, &geometries);
+    Ok(Some(texture_set(doc, index, planned, id, atlas, geometries)))
+}
+
 fn read_set(
     doc: &Document,
-    scan: &Scan,
+    index: &MaterialIndex,
     planned: Planned,
     id: usize,
     options: ReadOptions,
-    reader: &mut Reader<'_>,
+    reader: &mut GeometryReader<'_>,
     context: &Context,
 ) -> Result<Option<TextureSet>> {
-    let mut geometries: Vec<Geometry> = Vec::new();
+    let mut geometries: Vec<PrimitiveGeometry> = Vec::new();
     for &(p, layout) in &planned.primitives {
-        let primitive = &scan.primitives[p];
-        geometries.push(reader.read(primitive.mesh, primitive.primitive, layout, context)?);
+        let primitive = &index.primitives[p];
+        geometries.push(reader.read(primitive.mesh, primitive.primitive, Some(layout), context)?);
     }
     let mut atlas = weld(&geometries, planned.reference, context)?;
     if atlas.corners.is_empty() {
         return Ok(None);
     }
-    for (i, geometry) in geometries.iter().enumerate() {
-        let first = atlas.provenance.len();
-        let faces = first..first + geometry.corners.len();
-        atlas.provenance.extend(faces.map(|f| Provenance::whole(FaceId::new(f), i as u32)));
-    }
+    set_provenance(&mut atlas, &geometries);
     let left = |warning: Warning| {
-        let first = planned.primitives.first().map(|&(p, _)| &scan.primitives[p]);
+        let first = planned.primitives.first().map(|&(p, _)| &index.primitives[p]);
         let at = planned.slots.first().map(|s| format!("/images/{}", s.image));
         let at = at.or_else(|| first.map(|p| p.pointer())).unwrap_or_default();
         context.warn(if warning.pointer.is_some() { warning } else { warning.at(at) });
@@ -65,21 +95,42 @@ fn read_set(
         return left(Warning::new("sampler_conflict", text).at(format!("/images/{image}")));
     }
     let constant = !planned.slots.is_empty() && planned.slots.iter().all(|s| doc.merging.constants.contains(&s.image));
-    if let Err(warning) = bring_home(&mut atlas, &planned.slots, planned.reference, options.tiling, constant) {
+    if let Err(warning) = normalise_tiles(&mut atlas, &planned.slots, planned.reference, options.tiling, constant) {
         return left(warning);
     }
+    Ok(Some(texture_set(doc, index, planned, id, atlas, geometries)))
+}
+
+/// Every face is a whole triangle of the primitive that it came from.
+fn set_provenance(atlas: &mut Atlas, geometries: &[PrimitiveGeometry]) {
+    for (i, geometry) in geometries.iter().enumerate() {
+        let first = atlas.provenance.len();
+        let faces = first..first + geometry.corners.len();
+        atlas.provenance.extend(faces.map(|f| Provenance::whole(FaceId::new(f), i as u32)));
+    }
+}
+
+/// The set of a finished Atlas.
+fn texture_set(
+    doc: &Document,
+    index: &MaterialIndex,
+    planned: Planned,
+    id: usize,
+    mut atlas: Atlas,
+    geometries: Vec<PrimitiveGeometry>,
+) -> TextureSet {
     let mut primitives = Vec::new();
     let mut first_face = 0;
     for (geometry, &(p, layout)) in geometries.into_iter().zip(&planned.primitives) {
-        let scanned = &scan.primitives[p];
-        let value = doc.json.pointer(&scanned.pointer()).unwrap_or(&serde_json::Value::Null);
+        let indexed = &index.primitives[p];
+        let value = doc.json.pointer(&indexed.pointer()).unwrap_or(&serde_json::Value::Null);
         let face_count = geometry.corners.len();
         primitives.push(PrimitiveRef {
-            mesh: scanned.mesh,
-            primitive: scanned.primitive,
-            material: scanned.default_material,
+            mesh: indexed.mesh,
+            primitive: indexed.primitive,
+            material: indexed.default_material,
             layout,
-            written: written_set(scan, value, &scanned.materials, layout),
+            written: written_set(index, value, &indexed.materials, layout),
             first_face,
             face_count,
             animated: is_animated(value),
@@ -89,10 +140,10 @@ fn read_set(
     }
     atlas.page = vec![0; atlas.corners.len()];
     atlas.sheets = vec![planned.reference];
-    let name = name(doc, scan, &planned);
+    let name = name(doc, index, &planned);
     let grid = grid(planned.reference, &planned.slots);
     let Planned { slots, reference, .. } = planned;
-    Ok(Some(TextureSet { id, name, atlas, reference, primitives, slots, grid }))
+    TextureSet { id, name, atlas, reference, primitives, slots, grid }
 }
 
 /// The first image, if any, that a primitive reads with several wrap modes outside the image, where they disagree.
@@ -111,11 +162,11 @@ fn is_animated(primitive: &serde_json::Value) -> bool {
 }
 
 /// The materials' names, each once, or the model's.
-fn name(doc: &Document, scan: &Scan, planned: &Planned) -> String {
+fn name(doc: &Document, index: &MaterialIndex, planned: &Planned) -> String {
     let mut names: Vec<&str> = Vec::new();
     let mut length = 0;
-    let materials = planned.primitives.iter().flat_map(|&(p, _)| &scan.primitives[p].materials);
-    for name in materials.filter_map(|&m| scan.materials.get(m)?.name.as_deref()) {
+    let materials = planned.primitives.iter().flat_map(|&(p, _)| &index.primitives[p].materials);
+    for name in materials.filter_map(|&m| index.materials.get(m)?.name.as_deref()) {
         if !names.contains(&name) && length < LONGEST_NAME {
             length += name.chars().count();
             names.push(name);
@@ -133,13 +184,13 @@ mod tests {
     use super::*;
     use crate::asset::fixture::{attribute, bowtie, document, mesh, png, primitive};
     use crate::asset::{RawAccessor, mark_uniform, small_slot_warning};
-    use crate::error::{Code, Failure};
+    use crate::error::Failure;
     use crate::texture::Wrap;
     use serde_json::{Value, json};
 
     fn read_all(doc: &Document) -> (Result<Vec<TextureSet>>, Vec<String>) {
         let context = Context::silent();
-        let sets = read(doc, ReadOptions::default(), &context);
+        let sets = MaterialIndex::new(doc).and_then(|index| read(doc, &index, ReadOptions::default(), &context));
         (
             sets,
             context.warnings().iter().map(|w| format!("{} {}", w.code, w.pointer.as_deref().unwrap_or(""))).collect(),
@@ -215,9 +266,9 @@ mod tests {
         };
         let info = "/materials/0/pbrMetallicRoughness/baseColorTexture";
         assert_eq!(change(&format!("{info}/texCoord"), json!(1)), [format!("other_uv_set {info}")]);
-        let brushed = json!({ "KHR_materials_anisotropy": { "anisotropyStrength": 0.5 } });
+        let untextured_anisotropy = json!({ "KHR_materials_anisotropy": { "anisotropyStrength": 0.5 } });
         let expected = "anisotropy_without_texture /materials/0";
-        assert_eq!(change("/materials/0/extensions", brushed), [expected]);
+        assert_eq!(change("/materials/0/extensions", untextured_anisotropy), [expected]);
         let huge = json!({ "KHR_texture_transform": { "scale": [1e300, 1e300], "offset": [1e308, 0] } });
         assert_eq!(change(&format!("{info}/extensions"), huge), ["uv_out_of_range /images/0"]);
         let at = "/meshes/0/primitives/0/extensions";
@@ -329,6 +380,32 @@ mod tests {
         doc.json["images"] = json!([{}]);
         doc.images.push(Some(png(2, 2)));
         assert!(left(&doc).is_empty());
+    }
+
+    #[test]
+    fn surfaces_without_texture_coordinates_are_a_set_behind_the_others() {
+        let mut doc = model(&[[16, 8]]);
+        doc.push("materials", json!({ "name": "bare" }));
+        let positions = attribute(&mut doc, &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        let mut bare = primitive(&mut doc, &[("POSITION", positions)], &[]);
+        bare["material"] = Value::from(1);
+        let textured = primitive(&mut doc, &[("POSITION", positions)], &[]);
+        let broken = attribute(&mut doc, &[[f32::NAN; 3]; 3]);
+        let mut broken = primitive(&mut doc, &[("POSITION", broken)], &[]);
+        broken["material"] = Value::from(1);
+        let mut strange = bare.clone();
+        strange["extensions"] = json!({ "ACME_x": {} });
+        doc.json["meshes"][0]["primitives"].as_array_mut().unwrap().insert(0, bare);
+        mesh(&mut doc, vec![textured, broken, strange]);
+        let sets = sets_of(&doc);
+        assert_eq!(sets.iter().map(|s| s.atlas.has_layout()).collect::<Vec<_>>(), [true, false]);
+        let set = &sets[1];
+        assert_eq!((set.id, set.name.as_str(), set.slots.len(), set.reference), (1, "bare", 0, [1024, 1024]));
+        let places: Vec<_> = set.primitives.iter().map(|p| (p.mesh, p.primitive, p.written)).collect();
+        assert_eq!(places, [(0, 0, 0)], "one that reads a texture, one that is broken and one with an extension stay");
+        assert_eq!((set.atlas.face_count(), set.atlas.corners[0]), (1, [Atlas::NO_UV; 3]));
+        assert_eq!((set.atlas.uv.len(), set.atlas.surface.positions.len()), (0, 3));
+        assert_eq!((set.atlas.provenance.len(), set.atlas.page.len()), (1, 1));
     }
 
     #[test]

@@ -6,16 +6,16 @@
 
 use serde_json::{Value, json};
 
+use super::accessor_layout::{self, list};
+use super::document::{Document, File};
 use super::side_names::{Names, by_name, media_type, plain};
-use super::structure::{self, list};
 use super::uri;
-use super::{Document, File};
-use super::{glb, prune};
+use super::{extensions, glb, prune};
 use crate::error::{Failure, Result};
 
 /// Where the bytes of a buffer view come from.
 #[derive(Debug, Clone, Copy)]
-enum Source<'a> {
+enum ViewSource<'a> {
     /// A range of one of the document's buffers.
     Old { buffer: usize, offset: usize, length: usize },
     /// An image.
@@ -23,11 +23,11 @@ enum Source<'a> {
 }
 
 /// The document on its way out.
-struct Draft<'a> {
+struct OutputDraft<'a> {
     document: &'a Document,
     json: Value,
     /// By buffer view.
-    sources: Vec<Source<'a>>,
+    sources: Vec<ViewSource<'a>>,
 }
 
 impl Document {
@@ -36,7 +36,7 @@ impl Document {
     /// # Errors
     /// `too_large` beyond 4 GiB; `invalid_model` when the document is not consistent.
     pub fn to_glb(&self) -> Result<Vec<u8>> {
-        let mut draft = Draft::new(self)?;
+        let mut draft = OutputDraft::new(self)?;
         for (index, bytes) in self.images.iter().enumerate() {
             if let Some(bytes) = bytes {
                 draft.embed(index, bytes)?;
@@ -65,7 +65,7 @@ pub fn to_gltf(documents: &[(String, &Document)]) -> Result<Vec<File>> {
     let mut names = Names::beside(documents.iter().map(|(name, _)| name.clone()));
     let (mut files, mut sides) = (Vec::new(), Vec::new());
     for (name, document) in documents {
-        let mut draft = Draft::new(document)?;
+        let mut draft = OutputDraft::new(document)?;
         for (index, bytes) in document.images.iter().enumerate() {
             if let Some(bytes) = bytes {
                 draft.put_aside(index, bytes, &mut names, &mut sides);
@@ -86,15 +86,15 @@ fn to_json(json: &Value) -> Result<Vec<u8>> {
     serde_json::to_vec(json).map_err(|e| Failure::internal(format!("the glTF JSON cannot be written: {e}")))
 }
 
-impl<'a> Draft<'a> {
+impl<'a> OutputDraft<'a> {
     fn new(document: &'a Document) -> Result<Self> {
         let mut sources = Vec::new();
         for index in 0..list(&document.json, "bufferViews")?.len() {
-            let view = structure::view(&document.json, index)?;
+            let view = accessor_layout::view(&document.json, index)?;
             document.view_bytes(index)?;
-            sources.push(Source::Old { buffer: view.buffer, offset: view.offset, length: view.length });
+            sources.push(ViewSource::Old { buffer: view.buffer, offset: view.offset, length: view.length });
         }
-        Ok(Draft { document, json: document.json.clone(), sources })
+        Ok(OutputDraft { document, json: document.json.clone(), sources })
     }
 
     fn image(&mut self, index: usize) -> Option<&mut serde_json::Map<String, Value>> {
@@ -120,7 +120,7 @@ impl<'a> Draft<'a> {
             image.insert("mimeType".to_owned(), Value::from("application/octet-stream"));
         }
         image.insert("bufferView".to_owned(), Value::from(view));
-        self.sources.push(Source::New(bytes));
+        self.sources.push(ViewSource::New(bytes));
         self.push_view(bytes.len());
         Ok(())
     }
@@ -159,7 +159,7 @@ impl<'a> Draft<'a> {
     /// Takes out what nothing refers to, lays the bytes of all buffer views into one buffer and says so in the JSON.
     fn finish(&mut self, uri: Option<&str>) -> Result<Vec<u8>> {
         let mut compact = false;
-        if prune::is_understood(&self.json)
+        if extensions::all_understood(&self.json)
             && let Some(kept) = prune::prune(&mut self.json)
         {
             let mut keep = kept.iter();
@@ -168,19 +168,19 @@ impl<'a> Draft<'a> {
         }
         let mut bin = Vec::new();
         let ranges = if compact { self.used_ranges() } else { self.whole_buffers() };
-        let mut placed: Vec<Range> = Vec::with_capacity(ranges.len());
+        let mut placed: Vec<PlacedRange> = Vec::with_capacity(ranges.len());
         for (buffer, start, end) in ranges {
             let bytes = self.document.buffers.get(buffer).and_then(|b| b.get(start..end)).unwrap_or_default();
             // The remainder by 4 stays, and with it the alignment of every accessor.
             bin.resize(bin.len().next_multiple_of(4) + start % 4, 0);
-            placed.push(Range { buffer, start, end, at: bin.len() });
+            placed.push(PlacedRange { buffer, start, end, at: bin.len() });
             bin.extend_from_slice(bytes);
         }
         let mut offsets = Vec::with_capacity(self.sources.len());
         for source in &self.sources {
             offsets.push(match *source {
-                Source::Old { buffer, offset, .. } => locate(&placed, buffer, offset)?,
-                Source::New(bytes) => {
+                ViewSource::Old { buffer, offset, .. } => locate(&placed, buffer, offset)?,
+                ViewSource::New(bytes) => {
                     bin.resize(bin.len().next_multiple_of(4), 0);
                     bin.extend_from_slice(bytes);
                     bin.len() - bytes.len()
@@ -202,8 +202,8 @@ impl<'a> Draft<'a> {
             .sources
             .iter()
             .filter_map(|source| match *source {
-                Source::Old { buffer, offset, length } => Some((buffer, offset, offset + length)),
-                Source::New(_) => None,
+                ViewSource::Old { buffer, offset, length } => Some((buffer, offset, offset + length)),
+                ViewSource::New(_) => None,
             })
             .collect();
         used.sort_unstable();
@@ -217,7 +217,7 @@ impl<'a> Draft<'a> {
         merged
     }
 
-    fn write_views(&mut self, offsets: &[usize], placed: &[Range]) -> Result<()> {
+    fn write_views(&mut self, offsets: &[usize], placed: &[PlacedRange]) -> Result<()> {
         let Some(views) = self.json.get_mut("bufferViews").and_then(Value::as_array_mut) else { return Ok(()) };
         for (view, offset) in views.iter_mut().zip(offsets) {
             set_number(view, "buffer", 0, None);
@@ -256,14 +256,14 @@ impl<'a> Draft<'a> {
 
 /// A range of an old buffer and where it begins in the new one.
 #[derive(Debug, Clone, Copy)]
-struct Range {
+struct PlacedRange {
     buffer: usize,
     start: usize,
     end: usize,
     at: usize,
 }
 
-fn locate(placed: &[Range], buffer: usize, offset: usize) -> Result<usize> {
+fn locate(placed: &[PlacedRange], buffer: usize, offset: usize) -> Result<usize> {
     let after = placed.partition_point(|r| (r.buffer, r.start) <= (buffer, offset));
     let range = after.checked_sub(1).and_then(|i| placed.get(i)).filter(|r| r.buffer == buffer && offset <= r.end);
     range

@@ -6,10 +6,12 @@
 
 use std::collections::BTreeMap;
 
+use super::document::Document;
+use super::extensions::{OnPrimitive, on_primitive};
 use super::json::{array, object};
-use super::scan::{Primitive, Scan, Texture, TextureUse};
-use super::transform::{Layout, Transform};
-use super::{Document, TextureSet};
+use super::material_index::{MaterialIndex, Primitive, Texture, TextureUse};
+use super::texture_set::TextureSet;
+use super::transform::{TextureTransform, UvLayout};
 use crate::atlas::find_root;
 use crate::context::Context;
 use crate::error::{Result, Warning};
@@ -19,8 +21,8 @@ use crate::texture::{Reading, Slot};
 /// A texture set before its geometry is read.
 #[derive(Debug)]
 pub(crate) struct Planned {
-    /// Indices into the scan's primitives, ascending, and the layout of each that is refined.
-    pub(crate) primitives: Vec<(usize, Layout)>,
+    /// Indices into the index's primitives, ascending, and the layout of each that is refined.
+    pub(crate) primitives: Vec<(usize, UvLayout)>,
     /// Its images; empty for a virtual page.
     pub(crate) slots: Vec<Slot>,
     /// Size of the largest slot.
@@ -32,28 +34,25 @@ pub(crate) struct Planned {
 /// Sheet of a set without images.
 const VIRTUAL_SHEET: [u32; 2] = [1024, 1024];
 
-/// Primitive extensions that only read vertices, so that new ones may be added beside what they read.
-const READERS: [&str; 2] = ["EXT_mesh_features", "EXT_structural_metadata"];
-
 /// Forms the texture sets of TEXCOORD_`uv_set`, in the order of their first primitive.
 ///
 /// # Errors
 /// None but those of the context; what cannot be refined is a warning.
-pub(crate) fn plan(doc: &Document, scan: &Scan, uv_set: usize, context: &Context) -> Result<Vec<Planned>> {
+pub(crate) fn plan(doc: &Document, index: &MaterialIndex, uv_set: usize, context: &Context) -> Result<Vec<Planned>> {
     context.check()?;
-    let mut chooser = Chooser { doc, scan, uv_set, texels: BTreeMap::new() };
-    let mut candidates: Vec<(usize, Layout)> = Vec::new();
-    for (p, primitive) in scan.primitives.iter().enumerate() {
-        if is_open(doc, primitive, uv_set, context) {
+    let mut chooser = LayoutChooser { doc, index, uv_set, texels: BTreeMap::new() };
+    let mut candidates: Vec<(usize, UvLayout)> = Vec::new();
+    for (p, primitive) in index.primitives.iter().enumerate() {
+        if is_refinable(doc, primitive, uv_set, context) {
             let layout = chooser.layout(primitive);
-            if may_change(doc, scan, primitive, layout, context) {
+            if may_change(doc, index, primitive, layout, context) {
                 candidates.push((p, layout));
             }
         }
     }
     let mut sets = Vec::new();
-    for (primitives, images) in components(scan, &candidates) {
-        if let Some(set) = planned(doc, scan, primitives, &images, context) {
+    for (primitives, images) in components(index, &candidates) {
+        if let Some(set) = planned(doc, index, primitives, &images, context) {
             sets.push(set);
         }
     }
@@ -64,43 +63,74 @@ pub(crate) fn plan(doc: &Document, scan: &Scan, uv_set: usize, context: &Context
     Ok(sets)
 }
 
-/// The uses of a material that are refined with a layout.
-pub(crate) fn refined_uses(scan: &Scan, material: usize, layout: Layout) -> impl Iterator<Item = &TextureUse> {
-    all_uses(scan, material).iter().filter(move |u| u.layout == layout && u.role.is_some())
+/// The triangles of a document without any texture coordinates, as one set without a layout: those of primitives whose
+/// materials read no texture, so that a layout may be made for them, and whose extensions are known.
+pub(crate) fn plan_unmapped(doc: &Document, index: &MaterialIndex) -> Option<Planned> {
+    let textured = |m: &usize| index.materials.get(*m).is_none_or(|m| !m.uses.is_empty() || m.untextured_anisotropy);
+    let unmapped = |primitive: &Primitive| {
+        let Some(value) = doc.json.pointer(&primitive.pointer()) else { return false };
+        let mut names = object(value, "attributes").into_iter().flat_map(|a| a.keys());
+        let mut extensions = object(value, "extensions").into_iter().flat_map(|e| e.keys());
+        primitive.is_triangles()
+            && primitive.positions.is_some()
+            && !names.any(|name| name.starts_with("TEXCOORD_"))
+            && !extensions.any(|name| on_primitive(name) == OnPrimitive::Unknown)
+            && !primitive.materials.iter().any(textured)
+    };
+    let layout = UvLayout::plain(0);
+    let found = index.primitives.iter().enumerate().filter(|(_, p)| unmapped(p));
+    let primitives: Vec<_> = found.map(|(p, _)| (p, layout)).collect();
+    let (slots, conflicts) = (Vec::new(), Vec::new());
+    (!primitives.is_empty()).then_some(Planned { primitives, slots, reference: VIRTUAL_SHEET, conflicts })
 }
 
-fn all_uses(scan: &Scan, material: usize) -> &[TextureUse] {
-    scan.materials.get(material).map_or(&[], |m| &m.uses)
+/// The uses of a material that are refined with a layout.
+pub(crate) fn refined_uses(
+    index: &MaterialIndex,
+    material: usize,
+    layout: UvLayout,
+) -> impl Iterator<Item = &TextureUse> {
+    all_uses(index, material).iter().filter(move |u| u.layout == layout && u.role.is_some())
+}
+
+fn all_uses(index: &MaterialIndex, material: usize) -> &[TextureUse] {
+    index.materials.get(material).map_or(&[], |m| &m.uses)
 }
 
 /// The TEXCOORD set that takes the new layout of a primitive: the refined one, or a new one where something else reads it on.
-pub(crate) fn written_set(scan: &Scan, value: &serde_json::Value, materials: &[usize], layout: Layout) -> usize {
+pub(crate) fn written_set(
+    index: &MaterialIndex,
+    value: &serde_json::Value,
+    materials: &[usize],
+    layout: UvLayout,
+) -> usize {
     let read_on = |u: &TextureUse| u.layout.uv_set == layout.uv_set && (u.layout != layout || u.role.is_none());
-    let extended = object(value, "extensions").is_some_and(|e| e.keys().any(|k| k != "KHR_materials_variants"));
-    if extended || materials.iter().any(|&m| all_uses(scan, m).iter().any(read_on)) {
+    let independent = |name: &String| on_primitive(name) == OnPrimitive::Independent;
+    let extended = object(value, "extensions").is_some_and(|e| !e.keys().all(independent));
+    if extended || materials.iter().any(|&m| all_uses(index, m).iter().any(read_on)) {
         let names = object(value, "attributes").into_iter().flat_map(|a| a.keys());
         let last = names.filter_map(|n| n.strip_prefix("TEXCOORD_")?.parse::<usize>().ok()).max();
-        return last.unwrap_or(0).saturating_add(1);
+        return last.map_or(layout.uv_set, |last| last.saturating_add(1));
     }
     layout.uv_set
 }
 
 /// Chooses the texture transform that is refined where a TEXCOORD set is read through several: the one with the most texels.
-struct Chooser<'a> {
+struct LayoutChooser<'a> {
     doc: &'a Document,
-    scan: &'a Scan,
+    index: &'a MaterialIndex,
     uv_set: usize,
     /// By image; 0 where it cannot be read.
     texels: BTreeMap<usize, u64>,
 }
 
-impl Chooser<'_> {
-    fn layout(&mut self, primitive: &Primitive) -> Layout {
-        let (scan, uv_set) = (self.scan, self.uv_set);
-        let uses = primitive.materials.iter().flat_map(|&m| all_uses(scan, m));
-        let mut found: Vec<(Transform, u64)> = Vec::new();
+impl LayoutChooser<'_> {
+    fn layout(&mut self, primitive: &Primitive) -> UvLayout {
+        let (index, uv_set) = (self.index, self.uv_set);
+        let uses = primitive.materials.iter().flat_map(|&m| all_uses(index, m));
+        let mut found: Vec<(TextureTransform, u64)> = Vec::new();
         for used in uses.filter(|u| u.role.is_some() && u.layout.uv_set == uv_set) {
-            let image = self.scan.textures.get(used.texture).and_then(|t| t.image);
+            let image = self.index.textures.get(used.texture).and_then(|t| t.image);
             let texels = image.map_or(0, |image| self.texels_of(image));
             match found.iter_mut().find(|(t, _)| *t == used.layout.transform) {
                 Some((_, sum)) => *sum = sum.saturating_add(texels),
@@ -109,7 +139,7 @@ impl Chooser<'_> {
         }
         // The first of the largest: the order of uses is that of roles.
         let best = found.into_iter().reduce(|a, b| if b.1 > a.1 { b } else { a });
-        Layout { uv_set, transform: best.map_or(Transform::IDENTITY, |b| b.0) }
+        UvLayout { uv_set, transform: best.map_or(TextureTransform::IDENTITY, |b| b.0) }
     }
 
     fn texels_of(&mut self, image: usize) -> u64 {
@@ -120,7 +150,7 @@ impl Chooser<'_> {
 }
 
 /// Whether a primitive has triangles with UVs and nothing of its own that stands in the way.
-fn is_open(doc: &Document, primitive: &Primitive, uv_set: usize, context: &Context) -> bool {
+fn is_refinable(doc: &Document, primitive: &Primitive, uv_set: usize, context: &Context) -> bool {
     let pointer = primitive.pointer();
     let Some(value) = doc.json.pointer(&pointer) else { return false };
     let name = format!("TEXCOORD_{uv_set}");
@@ -129,8 +159,7 @@ fn is_open(doc: &Document, primitive: &Primitive, uv_set: usize, context: &Conte
         return false;
     }
     let mut keys = object(value, "extensions").into_iter().flat_map(|e| e.keys());
-    let strange = keys.find(|k| *k != "KHR_materials_variants" && !READERS.contains(&k.as_str()));
-    if let Some(key) = strange {
+    if let Some(key) = keys.find(|k| on_primitive(k) == OnPrimitive::Unknown) {
         let text = format!("the primitive is left as it is: its extension {key} is not supported");
         context.warn(Warning::new("primitive_extension", text).at(format!("{pointer}/extensions/{key}")));
         return false;
@@ -144,12 +173,18 @@ fn is_open(doc: &Document, primitive: &Primitive, uv_set: usize, context: &Conte
 }
 
 /// Whether the materials of a primitive let its layout change; says which of their textures keep theirs.
-fn may_change(doc: &Document, scan: &Scan, primitive: &Primitive, layout: Layout, context: &Context) -> bool {
+fn may_change(
+    doc: &Document,
+    index: &MaterialIndex,
+    primitive: &Primitive,
+    layout: UvLayout,
+    context: &Context,
+) -> bool {
     let attributes = doc.json.pointer(&format!("{}/attributes", primitive.pointer()));
     let has_tangents = attributes.is_some_and(|a| a.get("TANGENT").is_some());
     let mut free = true;
     for &m in &primitive.materials {
-        let Some(material) = scan.materials.get(m) else { continue };
+        let Some(material) = index.materials.get(m) else { continue };
         let at = |used: &TextureUse| format!("/materials/{m}{}", used.path);
         let mut left = |code: &str, text: &str| {
             let text = format!("the material is left as it is: {text}");
@@ -167,7 +202,7 @@ fn may_change(doc: &Document, scan: &Scan, primitive: &Primitive, layout: Layout
                 "its directions are read through two layouts, and have one tangent space",
             );
         }
-        if material.brushed && (!ours.is_empty() || !has_tangents) {
+        if material.untextured_anisotropy && (!ours.is_empty() || !has_tangents) {
             let text = "its anisotropy has no texture that could turn with the charts";
             left("anisotropy_without_texture", text);
         }
@@ -192,14 +227,14 @@ fn may_change(doc: &Document, scan: &Scan, primitive: &Primitive, layout: Layout
 }
 
 /// Primitives with their layouts, and the images that they read through them; both ascending.
-type Component = (Vec<(usize, Layout)>, Vec<usize>);
+type Component = (Vec<(usize, UvLayout)>, Vec<usize>);
 
 /// Connected components with at least one image, by first primitive.
-fn components(scan: &Scan, candidates: &[(usize, Layout)]) -> Vec<Component> {
+fn components(index: &MaterialIndex, candidates: &[(usize, UvLayout)]) -> Vec<Component> {
     let mut parent: Vec<u32> = (0..candidates.len() as u32).collect();
     let mut first_reader: BTreeMap<usize, u32> = BTreeMap::new();
     for (i, &(p, layout)) in candidates.iter().enumerate() {
-        for image in images_of(scan, &scan.primitives[p], layout) {
+        for image in images_of(index, &index.primitives[p], layout) {
             let reader = *first_reader.entry(image).or_insert(i as u32);
             let (a, b) = (find_root(&mut parent, i as u32), find_root(&mut parent, reader));
             parent[a.max(b) as usize] = a.min(b);
@@ -209,7 +244,7 @@ fn components(scan: &Scan, candidates: &[(usize, Layout)]) -> Vec<Component> {
     for (&image, &reader) in &first_reader {
         images.entry(find_root(&mut parent, reader)).or_default().push(image);
     }
-    let mut primitives: BTreeMap<u32, Vec<(usize, Layout)>> = BTreeMap::new();
+    let mut primitives: BTreeMap<u32, Vec<(usize, UvLayout)>> = BTreeMap::new();
     for (i, &candidate) in candidates.iter().enumerate() {
         primitives.entry(find_root(&mut parent, i as u32)).or_default().push(candidate);
     }
@@ -217,25 +252,25 @@ fn components(scan: &Scan, candidates: &[(usize, Layout)]) -> Vec<Component> {
     images.into_iter().filter_map(|(root, images)| Some((primitives.remove(&root)?, images))).collect()
 }
 
-fn images_of(scan: &Scan, primitive: &Primitive, layout: Layout) -> Vec<usize> {
-    let uses = primitive.materials.iter().flat_map(|&m| refined_uses(scan, m, layout));
-    uses.filter_map(|u| scan.textures.get(u.texture)?.image).collect()
+fn images_of(index: &MaterialIndex, primitive: &Primitive, layout: UvLayout) -> Vec<usize> {
+    let uses = primitive.materials.iter().flat_map(|&m| refined_uses(index, m, layout));
+    uses.filter_map(|u| index.textures.get(u.texture)?.image).collect()
 }
 
 /// The slots of a component, or a warning and nothing where it cannot be refined.
 fn planned(
     doc: &Document,
-    scan: &Scan,
-    primitives: Vec<(usize, Layout)>,
+    index: &MaterialIndex,
+    primitives: Vec<(usize, UvLayout)>,
     images: &[usize],
     context: &Context,
 ) -> Option<Planned> {
     let mut blocked = false;
     let mut readers: BTreeMap<(usize, Class), Readers> = BTreeMap::new();
     for (i, &(p, layout)) in primitives.iter().enumerate() {
-        for &m in &scan.primitives[p].materials {
-            for used in refined_uses(scan, m, layout) {
-                let Some(texture) = scan.textures.get(used.texture) else { continue };
+        for &m in &index.primitives[p].materials {
+            for used in refined_uses(index, m, layout) {
+                let Some(texture) = index.textures.get(used.texture) else { continue };
                 if texture.extended {
                     let text = "the texture set is left as it is: an extension gives the texture another source";
                     let at = format!("/textures/{}/extensions", used.texture);
@@ -243,7 +278,7 @@ fn planned(
                     blocked = true;
                 }
                 if let (Some(image), Some(role)) = (texture.image, used.role) {
-                    let alpha = scan.materials[m].alpha;
+                    let alpha = index.materials[m].alpha;
                     readers.entry((image, class(role))).or_default().add(i as u32, role, texture, alpha);
                 }
             }

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::Document;
+use super::document::Document;
 
 /// Calls `f` with every image index of the textures, those in extensions too.
 pub(crate) fn each_source(json: &mut Value, mut f: impl FnMut(&mut Value)) {

@@ -3,14 +3,13 @@
 use glam::DVec2;
 use serde_json::{Map, Value};
 
+use super::extensions::TEXTURE_TRANSFORM;
+use super::json::index;
 use crate::error::{Failure, Result};
-
-/// The name of the extension.
-pub(crate) const EXTENSION: &str = "KHR_texture_transform";
 
 /// What is done to UVs before a texture is read: scaled, turned counter-clockwise as one sees the image, moved.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Transform {
+pub struct TextureTransform {
     /// Translation, in images.
     pub offset: DVec2,
     /// Angle in radians.
@@ -19,22 +18,22 @@ pub struct Transform {
     pub scale: DVec2,
 }
 
-impl Transform {
+impl TextureTransform {
     /// UVs as they are.
-    pub const IDENTITY: Transform = Transform { offset: DVec2::ZERO, rotation: 0.0, scale: DVec2::ONE };
+    pub const IDENTITY: TextureTransform = TextureTransform { offset: DVec2::ZERO, rotation: 0.0, scale: DVec2::ONE };
 
     /// The transform of a texture info, and the TEXCOORD set that it names instead of the info's. `pointer` is that of the info.
     ///
     /// # Errors
     /// `invalid_model` with a pointer for a value of the wrong kind.
-    pub(crate) fn of(info: &Value, pointer: &str) -> Result<(Transform, Option<usize>)> {
-        let Some(value) = info.get("extensions").and_then(|e| e.get(EXTENSION)) else {
-            return Ok((Transform::IDENTITY, None));
+    pub(crate) fn of(info: &Value, pointer: &str) -> Result<(TextureTransform, Option<usize>)> {
+        let Some(value) = info.get("extensions").and_then(|e| e.get(TEXTURE_TRANSFORM)) else {
+            return Ok((TextureTransform::IDENTITY, None));
         };
-        let at = format!("{pointer}/extensions/{EXTENSION}");
+        let at = format!("{pointer}/extensions/{TEXTURE_TRANSFORM}");
         let object = value.as_object();
         let object = object.ok_or_else(|| Failure::model("an object is expected here").at(at.clone()))?;
-        let uv_set = super::json::index(value, "texCoord", 1 << 16, &at)?;
+        let uv_set = index(value, "texCoord", 1 << 16, &at)?;
         let offset = pair(object, "offset", DVec2::ZERO, &at)?;
         let scale = pair(object, "scale", DVec2::ONE, &at)?;
         let rotation = match object.get("rotation") {
@@ -43,12 +42,12 @@ impl Transform {
                 Failure::model("the rotation of a texture transform is a number").at(format!("{at}/rotation"))
             })?,
         };
-        Ok((Transform { offset, rotation, scale }, uv_set))
+        Ok((TextureTransform { offset, rotation, scale }, uv_set))
     }
 
     /// Whether it changes nothing.
     pub fn is_identity(&self) -> bool {
-        *self == Transform::IDENTITY
+        *self == TextureTransform::IDENTITY
     }
 
     /// Where the image is read for a UV: T R S of the extension's text, with v down.
@@ -68,21 +67,21 @@ impl Transform {
     }
 }
 
-impl Eq for Transform {}
+impl Eq for TextureTransform {}
 
-impl PartialOrd for Transform {
+impl PartialOrd for TextureTransform {
     fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl Ord for Transform {
+impl Ord for TextureTransform {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
         self.bits().cmp(&other.bits())
     }
 }
 
-impl std::hash::Hash for Transform {
+impl std::hash::Hash for TextureTransform {
     fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
         self.bits().hash(state);
     }
@@ -106,17 +105,17 @@ fn pair(object: &Map<String, Value>, key: &str, default: DVec2, pointer: &str) -
 
 /// How texture coordinates are read: a TEXCOORD set, transformed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Layout {
+pub struct UvLayout {
     /// Number of the TEXCOORD set.
     pub uv_set: usize,
     /// What is done to it.
-    pub transform: Transform,
+    pub transform: TextureTransform,
 }
 
-impl Layout {
+impl UvLayout {
     /// A TEXCOORD set as it is.
-    pub fn plain(uv_set: usize) -> Layout {
-        Layout { uv_set, transform: Transform::IDENTITY }
+    pub fn plain(uv_set: usize) -> UvLayout {
+        UvLayout { uv_set, transform: TextureTransform::IDENTITY }
     }
 }
 
@@ -125,8 +124,8 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    fn transform(value: Value) -> Transform {
-        Transform::of(&json!({ "extensions": { EXTENSION: value } }), "").unwrap().0
+    fn transform(value: Value) -> TextureTransform {
+        TextureTransform::of(&json!({ "extensions": { TEXTURE_TRANSFORM: value } }), "").unwrap().0
     }
 
     #[test]
@@ -143,10 +142,10 @@ mod tests {
     fn what_says_nothing_is_the_identity() {
         assert!(transform(json!({})).is_identity());
         assert!(transform(json!({ "offset": [0, -0.0], "scale": [1, 1.0], "rotation": 0 })).is_identity());
-        assert_eq!(transform(json!({ "rotation": -0.0 })).cmp(&Transform::IDENTITY), std::cmp::Ordering::Equal);
+        assert_eq!(transform(json!({ "rotation": -0.0 })).cmp(&TextureTransform::IDENTITY), std::cmp::Ordering::Equal);
         for wrong in [json!(3), json!({ "offset": [1] }), json!({ "rotation": "x" }), json!({ "texCoord": -1 })] {
-            let info = json!({ "extensions": { EXTENSION: wrong } });
-            let at = Transform::of(&info, "/m").unwrap_err().pointer.unwrap();
+            let info = json!({ "extensions": { TEXTURE_TRANSFORM: wrong } });
+            let at = TextureTransform::of(&info, "/m").unwrap_err().pointer.unwrap();
             assert!(at.starts_with("/m/extensions/KHR_texture_transform"));
         }
     }

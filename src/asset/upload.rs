@@ -7,7 +7,7 @@ use super::uri::{file_name, normalise};
 
 /// A file of the upload, perhaps unpacked from an archive.
 #[derive(Debug, Clone)]
-pub(crate) struct Entry<'a> {
+pub(crate) struct UploadEntry<'a> {
     /// Clean relative path.
     pub(crate) path: String,
     /// Contents.
@@ -17,7 +17,7 @@ pub(crate) struct Entry<'a> {
 /// All files of an upload.
 #[derive(Debug, Default)]
 pub(crate) struct Upload<'a> {
-    entries: Vec<Entry<'a>>,
+    entries: Vec<UploadEntry<'a>>,
     by_path: BTreeMap<String, usize>,
     /// By file name in lower case; none where several files share it.
     by_name: BTreeMap<String, Option<usize>>,
@@ -25,7 +25,7 @@ pub(crate) struct Upload<'a> {
 
 impl<'a> Upload<'a> {
     /// The files; of several with one path, the first counts.
-    pub(crate) fn new(entries: Vec<Entry<'a>>) -> Self {
+    pub(crate) fn new(entries: Vec<UploadEntry<'a>>) -> Self {
         let mut upload = Upload { entries, ..Upload::default() };
         for (index, entry) in upload.entries.iter().enumerate() {
             if upload.by_path.contains_key(&entry.path) {
@@ -39,13 +39,13 @@ impl<'a> Upload<'a> {
     }
 
     /// All files in their order.
-    pub(crate) fn entries(&self) -> &[Entry<'a>] {
+    pub(crate) fn entries(&self) -> &[UploadEntry<'a>] {
         &self.entries
     }
 
     /// The file at a path; else, as browsers and archives lose folders and some file systems case, the only
     /// one of that name.
-    pub(crate) fn find(&self, path: &str) -> Option<&Entry<'a>> {
+    pub(crate) fn find(&self, path: &str) -> Option<&UploadEntry<'a>> {
         self.entries.get(self.position(path)?)
     }
 

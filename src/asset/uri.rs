@@ -24,7 +24,7 @@ pub(crate) const RESERVED: percent_encoding::AsciiSet = percent_encoding::CONTRO
     .add(b':')
     .add(b'\\');
 
-/// A data URI taken apart.
+/// The parts of a data URI.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct DataUri {
     /// Media type without parameters; empty where none is given.

@@ -1,6 +1,8 @@
 //! Recomputes from scratch what must hold of every Atlas that a stage gives.
 //!
-//! What the uploaded atlas had wrong is exempt, by source face: its flips, its overlaps, its UVs outside the sheet.
+//! What the uploaded atlas had wrong is exempt, by source face: its flips, its overlaps, its UVs outside the sheet. What it did
+//! not have excuses nothing: where it came without a layout, every flip, overlap and step over the sheet's edge counts, and
+//! lost area is measured against the surface.
 
 use std::fmt;
 
@@ -43,6 +45,8 @@ impl Exactness {
 pub enum Violation {
     /// The arrays by face have different lengths.
     Lengths,
+    /// A face has no UVs, though the input or other faces have.
+    Unmapped(FaceId),
     /// A face names a UV vertex, surface vertex, page or source face that does not exist.
     Index(FaceId),
     /// A UV vertex is used for two surface vertices.
@@ -73,6 +77,7 @@ impl fmt::Display for Violation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Violation::Lengths => write!(f, "the arrays by face have different lengths"),
+            Violation::Unmapped(a) => write!(f, "face {} has no UVs", a.0),
             Violation::Index(a) => write!(f, "face {} names an index out of range", a.0),
             Violation::SharedUv(u) => write!(f, "UV vertex {} belongs to two surface vertices", u.0),
             Violation::Primitive(a) => write!(f, "face {} is of another primitive than its source", a.0),
@@ -101,9 +106,15 @@ pub fn check(before: &Atlas, after: &Atlas, exactness: Exactness) -> Result<(), 
     if !found.is_empty() {
         return Err(found);
     }
-    found.extend(shared_uvs(after).take(LIMIT));
+    let mapped = after.has_layout();
+    if mapped {
+        found.extend(shared_uvs(after).take(LIMIT));
+    }
     found.extend(provenance(before, after));
     found.extend(positions(before, after, exactness).take(LIMIT));
+    if !mapped {
+        return if found.is_empty() { Ok(()) } else { Err(found) };
+    }
     found.extend(placement(before, after, exactness).take(LIMIT));
     if !found.iter().any(|v| matches!(v, Violation::NotFinite(_))) {
         found.extend(flips(before, after, exactness).into_iter().take(LIMIT));
@@ -117,9 +128,17 @@ fn indices(before: &Atlas, after: &Atlas) -> Vec<Violation> {
     if [after.surface.triangles.len(), after.provenance.len(), after.page.len()] != [n; 3] {
         return vec![Violation::Lengths];
     }
+    if before.has_layout() || after.has_layout() {
+        let unmapped = |f: &FaceId| after.corners[f.index()].contains(&Atlas::NO_UV);
+        let bad: Vec<_> = after.faces().filter(unmapped).take(LIMIT).map(Violation::Unmapped).collect();
+        if !bad.is_empty() {
+            return bad;
+        }
+    }
+    let mapped = after.has_layout();
     let bad = |f: &FaceId| {
         let i = f.index();
-        after.corners[i].iter().any(|u| u.index() >= after.uv.len())
+        mapped && after.corners[i].iter().any(|u| u.index() >= after.uv.len())
             || after.surface.triangles[i].iter().any(|v| v.index() >= after.surface.positions.len())
             || usize::from(after.page[i]) >= after.sheets.len()
             || after.provenance[i].source.index() >= before.face_count()
@@ -239,7 +258,7 @@ fn placement<'a>(before: &'a Atlas, after: &'a Atlas, exactness: Exactness) -> i
         let source = after.provenance[f.index()].source;
         if by == f64::INFINITY {
             Some(Violation::NotFinite(f))
-        } else if by > slack && outside(before, source) <= slack {
+        } else if by > slack && (!before.has_layout() || outside(before, source) <= slack) {
             Some(Violation::OutsideSheet(f, by))
         } else {
             None
@@ -254,10 +273,25 @@ fn height(t: &[DVec2; 3]) -> f64 {
     if longest > 0.0 { (b - a).perp_dot(c - a).abs() / longest } else { 0.0 }
 }
 
-/// The UV triangle that a face had in the input.
+/// The triangle that a face of the input is laid out like: its UV triangle or, without a layout, itself laid flat.
+fn laid_out(before: &Atlas, face: FaceId) -> [DVec2; 3] {
+    if before.has_layout() {
+        return before.uv_triangle(face);
+    }
+    let [a, b, c] = before.triangle(face);
+    let (along, other) = (b - a, c - a);
+    let length = along.length();
+    let apex = match length > 0.0 {
+        true => DVec2::new(other.dot(along), other.cross(along).length()) / length,
+        false => DVec2::new(other.length(), 0.0),
+    };
+    [DVec2::ZERO, DVec2::new(length, 0.0), apex]
+}
+
+/// The triangle that a face was laid out like in the input.
 fn uv_before(before: &Atlas, after: &Atlas, face: FaceId) -> [DVec2; 3] {
     let provenance = &after.provenance[face.index()];
-    let source = before.uv_triangle(provenance.source);
+    let source = laid_out(before, provenance.source);
     if provenance.is_whole() {
         return source;
     }
@@ -281,7 +315,9 @@ fn flips(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> 
         for &f in faces {
             let sign = |[a, b, c]: [DVec2; 3]| f64::from(orientation(a, b, c));
             let now = sign(after.uv_triangle(f));
-            let source = sign(before.uv_triangle(after.provenance[f.index()].source));
+            // Without a layout in the input nothing was degenerate or turned over in it.
+            let source =
+                if before.has_layout() { sign(before.uv_triangle(after.provenance[f.index()].source)) } else { 1.0 };
             let own = after.uv_area(f).abs();
             area += own;
             input_area += triangle_area(&uv_before(before, after, f));
@@ -308,6 +344,9 @@ fn flips(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> 
 /// By face: whether it lies against its chart's orientation.
 fn folded(atlas: &Atlas) -> Vec<bool> {
     let mut folded = vec![false; atlas.face_count()];
+    if !atlas.has_layout() {
+        return folded;
+    }
     for faces in &Charts::new(&Topology::new(atlas)).faces {
         let chart: f64 = faces.iter().map(|&f| atlas.uv_area(f)).filter(|a| a.is_finite()).sum();
         for &f in faces {
@@ -333,10 +372,10 @@ fn new_overlaps(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Viol
     let slack = exactness.texels(extent(after));
     let is_new = |a: FaceId, b: FaceId| {
         let (p, q) = (after.provenance[a.index()].source, after.provenance[b.index()].source);
-        let (source, other) = (before.uv_triangle(p), before.uv_triangle(q));
-        let had = p != q
-            && before.page.get(p.index()) == before.page.get(q.index())
-            && (triangles_overlap(&source, &other) || is_sliver(&source, slack) || is_sliver(&other, slack));
+        let had = p != q && before.has_layout() && before.page.get(p.index()) == before.page.get(q.index()) && {
+            let (source, other) = (before.uv_triangle(p), before.uv_triangle(q));
+            triangles_overlap(&source, &other) || is_sliver(&source, slack) || is_sliver(&other, slack)
+        };
         !had && penetration(&after.uv_triangle(a), &after.uv_triangle(b)) > slack
     };
     let (pairs, cut_short) = overlaps_where(after, LIMIT, is_new);
@@ -348,131 +387,4 @@ fn new_overlaps(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Viol
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::atlas::testing::{join, sheet};
-    use crate::atlas::{Provenance, VertexId};
-
-    /// Two charts and a third that lies on the second; the first face of the first is split in three at its centre.
-    fn atlases() -> (Atlas, Atlas) {
-        let pair = join(&sheet(2, 2, DVec2::splat(1.0)), &sheet(3, 3, DVec2::new(10.0, 1.0)));
-        let before = join(&pair, &sheet(2, 2, DVec2::new(11.5, 1.5)));
-        let mut after = before.clone();
-        let centre = UvId::new(after.uv.len());
-        let place = VertexId::new(after.surface.positions.len());
-        after.uv.push(before.uv_triangle(FaceId(0)).iter().sum::<DVec2>() / 3.0);
-        after.surface.positions.push(before.triangle(FaceId(0)).iter().sum::<DVec3>() / 3.0);
-        for k in 0..3 {
-            let f = if k == 0 { 0 } else { after.face_count() };
-            let own = |c: [UvId; 3]| [c[k], c[(k + 1) % 3], centre];
-            let (corners, triangle) = (before.corners[0], before.surface.triangles[0]);
-            let whole = Provenance::WHOLE;
-            let part = Provenance {
-                barycentric: [whole[k], whole[(k + 1) % 3], DVec3::splat(1.0 / 3.0)],
-                ..before.provenance[0]
-            };
-            if k == 0 {
-                after.corners[f] = own(corners);
-                after.surface.triangles[f] = [triangle[k], triangle[(k + 1) % 3], place];
-                after.provenance[f] = part;
-            } else {
-                after.corners.push(own(corners));
-                after.surface.triangles.push([triangle[k], triangle[(k + 1) % 3], place]);
-                after.provenance.push(part);
-                after.page.push(0);
-            }
-        }
-        (before, after)
-    }
-
-    fn faults(before: &Atlas, after: &Atlas) -> Vec<Violation> {
-        check(before, after, Exactness::Exact).err().unwrap_or_default()
-    }
-
-    #[test]
-    fn a_sliver_inside_another_face_is_no_new_overlap() {
-        // Three corners on a line through a face: nothing overlaps, until one of them is rounded off the line.
-        let mut before = join(&sheet(1, 1, DVec2::ZERO), &sheet(1, 1, DVec2::splat(5.0)));
-        let line = [0.3, 0.9, 0.6].map(|x| DVec2::new(0.1 + 0.5 * x, 0.2));
-        for (corner, p) in before.corners[2].into_iter().zip(line) {
-            before.uv[corner.index()] = p;
-        }
-        let mut after = before.clone();
-        let corner = after.corners[2][2];
-        after.uv[corner.index()].y += 1e-9;
-        let found = |before: &Atlas, after: &Atlas| {
-            let all = new_overlaps(before, after, Exactness::Rounded(1e-6));
-            all.iter().filter(|v| matches!(v, Violation::Overlap(_, FaceId(2)))).count()
-        };
-        assert_eq!(found(&before, &after), 0);
-        // One that had an area and came to lie on others is new.
-        let mut apart = before.clone();
-        for (k, corner) in apart.corners[2].into_iter().enumerate() {
-            apart.uv[corner.index()] = DVec2::new(5.0 + k as f64, 5.0 + f64::from(k == 1));
-        }
-        let mut moved = apart.clone();
-        for corner in moved.corners[2] {
-            moved.uv[corner.index()] -= DVec2::splat(4.8);
-        }
-        assert!(found(&apart, &moved) > 0);
-    }
-
-    #[test]
-    fn what_is_right_passes_and_what_the_input_had_wrong_too() {
-        let (before, after) = atlases();
-        assert_eq!(faults(&before, &before), []);
-        assert_eq!(faults(&before, &after), []);
-        let mut turned = after.clone();
-        for uv in &mut turned.uv {
-            *uv = DVec2::from_angle(0.7).rotate(DVec2::new(uv.x, -uv.y)) / 3.0 + 30.0;
-        }
-        assert_eq!(faults(&before, &turned), [], "mirrored, turned and scaled as a whole");
-        for uv in &mut turned.uv {
-            *uv = uv.as_vec2().as_dvec2();
-        }
-        assert_eq!(check(&before, &turned, Exactness::Rounded(1e-3)), Ok(()), "read back from float32");
-    }
-
-    #[test]
-    fn every_fault_is_found() {
-        type Case = (&'static str, fn(&mut Atlas), fn(&Violation) -> bool);
-        let cases: [Case; 12] = [
-            ("lengths", |a| a.page.truncate(1), |v| *v == Violation::Lengths),
-            ("index", |a| a.corners[3][1] = UvId(9999), |v| *v == Violation::Index(FaceId(3))),
-            ("page", |a| a.page[3] = 1, |v| *v == Violation::Index(FaceId(3))),
-            ("shared", |a| a.corners[5][0] = a.corners[0][0], |v| matches!(v, Violation::SharedUv(_))),
-            ("primitive", |a| a.provenance[4].primitive = 1, |v| *v == Violation::Primitive(FaceId(4))),
-            ("turned over", |a| a.provenance[4].barycentric.swap(0, 1), |v| *v == Violation::Part(FaceId(4))),
-            ("uncovered", |a| a.provenance[4].source = FaceId(5), |v| *v == Violation::Cover(FaceId(4), 0.0)),
-            ("covered twice", |a| a.provenance[4].source = FaceId(5), |v| *v == Violation::Parts(FaceId(4), FaceId(5))),
-            ("moved", |a| a.surface.positions[0].z += 1e-6, |v| matches!(v, Violation::Moved(FaceId(0), _))),
-            ("not finite", |a| a.uv[0].x = f64::NAN, |v| matches!(v, Violation::NotFinite(FaceId(0)))),
-            ("outside", |a| a.sheets[0] = [12, 100], |v| matches!(v, Violation::OutsideSheet(..))),
-            (
-                "onto the other",
-                |a| a.uv.iter_mut().take(9).for_each(|p| p.x += 8.0),
-                |v| matches!(v, Violation::Overlap(..)),
-            ),
-        ];
-        for (name, make, expected) in cases {
-            let (before, mut after) = atlases();
-            make(&mut after);
-            let found = faults(&before, &after);
-            assert!(found.iter().any(expected), "{name}: {found:?}");
-        }
-    }
-
-    #[test]
-    fn a_face_pulled_through_its_neighbour_is_flipped() {
-        let (before, mut after) = atlases();
-        let inner = after.uv.iter().position(|p| *p == DVec2::new(12.0, 3.0)).unwrap_or(0);
-        after.uv[inner] = DVec2::new(9.5, 3.2);
-        let found = faults(&before, &after);
-        assert!(found.iter().any(|v| matches!(v, Violation::Flipped(_))), "{found:?}");
-        assert!(found.iter().any(|v| matches!(v, Violation::Overlap(..))), "{found:?}");
-        let (_, mut closed) = atlases();
-        closed.uv[0] = closed.uv[1];
-        let found = check(&before, &closed, Exactness::Rounded(1e-3)).err().unwrap_or_default();
-        assert!(found.iter().any(|v| matches!(v, Violation::Flipped(_))), "{found:?}");
-    }
-}
+mod tests;

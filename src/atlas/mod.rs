@@ -74,6 +74,11 @@ impl Provenance {
 }
 
 /// A texture atlas of one texture set.
+///
+/// A surface that came without texture coordinates is an Atlas too, without a layout until a stage makes one: `uv` is empty,
+/// and every corner of every face is [`Atlas::NO_UV`]. All arrays by face keep their length, so that faces, surface,
+/// provenance and pages are what they are everywhere; whoever reads UVs asks [`Atlas::has_layout`] first. Either all faces have
+/// UVs or none has: [`check`] finds a face that was left out, and holds a layout made from nothing against the surface alone.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Atlas {
     /// The 3D triangles.
@@ -92,6 +97,14 @@ pub struct Atlas {
 }
 
 impl Atlas {
+    /// The corner of a face that has no UVs.
+    pub const NO_UV: UvId = UvId(u32::MAX);
+
+    /// Whether its faces have UVs.
+    pub fn has_layout(&self) -> bool {
+        !self.uv.is_empty() || self.corners.is_empty()
+    }
+
     /// Number of faces.
     pub fn face_count(&self) -> usize {
         self.corners.len()

@@ -9,9 +9,14 @@ const SLIVER: f64 = 1e-12;
 /// Whether a face has no area in UV (exactly) or in 3D (to double precision).
 pub(crate) fn is_degenerate(atlas: &Atlas, face: FaceId) -> bool {
     let [a, b, c] = atlas.uv_triangle(face);
+    orientation(a, b, c) == 0 || has_no_surface(atlas, face)
+}
+
+/// Whether a face has no area in 3D, to double precision.
+pub(crate) fn has_no_surface(atlas: &Atlas, face: FaceId) -> bool {
     let [p, q, r] = atlas.triangle(face);
     let longest = (q - p).length_squared().max((r - q).length_squared()).max((p - r).length_squared());
-    orientation(a, b, c) == 0 || (q - p).cross(r - p).length() <= SLIVER * longest
+    (q - p).cross(r - p).length() <= SLIVER * longest
 }
 
 /// 1 or -1 by chart: the sign of its UV area; 0 where it has none.

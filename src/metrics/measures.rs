@@ -163,6 +163,20 @@ pub fn measure(atlas: &Atlas, topology: &Topology, own_charts: &Charts, inputs: 
     Measures::from_totals(totals)
 }
 
+/// The measures of a surface that has no layout yet: what can be said of it in 3D.
+pub fn without_layout(atlas: &Atlas) -> Measures {
+    let degenerate = atlas.faces().filter(|f| charts::has_no_surface(atlas, *f)).count() as u64;
+    let mut m =
+        Measures { triangles: atlas.face_count() as u64, degenerate_triangles: degenerate, ..Measures::default() };
+    // The figures' names are those of the report.
+    for (name, value) in serde_json::to_value(&m).ok().and_then(|v| v.as_object().cloned()).into_iter().flatten() {
+        let parts = value.as_object().into_iter().flatten().filter(|(_, part)| part.is_null());
+        let null = parts.map(|(part, _)| format!("{name}.{part}")).chain(value.is_null().then(|| name.clone()));
+        m.undefined.extend(null.map(|name| (name, "the surface has no layout".to_owned())));
+    }
+    m
+}
+
 /// The measures of a model: counts and lengths are summed before they are divided, so that every ratio is the one of all
 /// atlases together; density is the extremes', the gutter the narrowest.
 pub fn roll_up(parts: &[Measures]) -> Measures {

@@ -19,7 +19,7 @@ mod requirement;
 
 pub use density::TexelDensity;
 pub use gate::{Unmet, check_path, paths, unmet};
-pub use measures::{MeasureInputs, Measures, SlotSize, measure, roll_up};
+pub use measures::{MeasureInputs, Measures, SlotSize, measure, roll_up, without_layout};
 pub use picture::picture;
 pub use report::{
     AtlasReport, ImageReport, InputReport, ModelInput, ModelReport, Report, StageReport, TextureReport, TextureSource,

@@ -35,7 +35,7 @@ pub(super) fn deliver(
     context.step(0.5, "measuring")?;
     let mut panels = Vec::new();
     if let Some(params) = &options.fabrication {
-        for r in &refinements {
+        for r in refinements.iter().filter(|r| r.atlas.has_layout()) {
             panels.extend(panel_files(r, params, context));
         }
     }
@@ -108,6 +108,9 @@ fn extras(r: &Refinement<'_>) -> Vec<Artifact> {
     let set = r.group.set();
     let id = set.id;
     let mut files = Vec::new();
+    if !r.atlas.has_layout() {
+        return files;
+    }
     for slot in &r.slots {
         for (page, file) in slot.files.iter().enumerate() {
             let name = texture_name(r, slot, page);
@@ -115,10 +118,12 @@ fn extras(r: &Refinement<'_>) -> Vec<Artifact> {
         }
     }
     let (before, after) = rayon::join(
-        || picture(&set.atlas, 0, PICTURE_SIDE),
+        || set.atlas.has_layout().then(|| picture(&set.atlas, 0, PICTURE_SIDE)),
         || (0..r.atlas.sheets.len()).map(|page| picture(&r.atlas, page, PICTURE_SIDE)).collect::<Vec<_>>(),
     );
-    files.push(Artifact::new(format!("atlas-{id}.before.png"), "picture", "image/png", before));
+    if let Some(before) = before {
+        files.push(Artifact::new(format!("atlas-{id}.before.png"), "picture", "image/png", before));
+    }
     for (page, bytes) in after.into_iter().enumerate() {
         let name =
             if page == 0 { format!("atlas-{id}.after.png") } else { format!("atlas-{id}.after.page-{page}.png") };

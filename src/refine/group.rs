@@ -163,7 +163,7 @@ impl Group {
 /// Whether a set can share its sheet with others: its charts must lie where sheets lie.
 pub(super) fn can_join(set: &TextureSet) -> bool {
     let (low, high) = region(set);
-    low.is_finite() && high.is_finite() && (high - low).max_element() <= FARTHEST
+    set.atlas.has_layout() && low.is_finite() && high.is_finite() && (high - low).max_element() <= FARTHEST
 }
 
 /// What a set takes up: its sheet, and the charts that leave it.

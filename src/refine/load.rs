@@ -10,7 +10,7 @@ use super::options::Options;
 use super::refinement::Refinement;
 use super::run::Input;
 use super::textures::exempt_uniform;
-use crate::asset::{self, Document, File, Merge, TextureSet};
+use crate::asset::{self, Document, File, MaterialIndex, Merge, TextureSet};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
 
@@ -28,6 +28,8 @@ pub(super) struct Loaded {
 pub(super) struct Model {
     /// The document as read, and prepared where its texture sets are to be merged.
     pub doc: Document,
+    /// Its materials, textures and primitives.
+    pub index: MaterialIndex,
     /// What is to be merged once it is written.
     pub merge: Option<Merge>,
     /// Bytes of its files; files that several models come with count for each.
@@ -68,23 +70,27 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
             }
             failure
         });
-        let (doc, merge, own) = own?;
+        let (doc, indexed, merge, own) = own?;
         sets.extend(own.into_iter().map(|set| (index, set)));
         let bytes = files.iter().map(|f| f.bytes.len() as u64).sum();
-        loaded.models.push(Model { doc, merge, bytes, label });
+        loaded.models.push(Model { doc, index: indexed, merge, bytes, label });
         context.step(0.9 * (index + 1) as f64 / count as f64, "reading models")?;
     }
     context.speak_of(None);
-    if sets.is_empty() && context.warnings().is_empty() {
+    // Surfaces without a layout are numbered after all others.
+    sets.sort_by_key(|(_, set)| !set.atlas.has_layout());
+    let mapped = sets.iter().filter(|(_, set)| set.atlas.has_layout()).count();
+    if mapped == 0 && context.warnings().is_empty() {
         context.warn(nothing_to_refine(&loaded.models, options.atlas.uv_set));
     }
     let weights = match &options.importance {
         Some(source) => {
-            let subjects: Vec<Subject<'_>> = sets
+            let subjects: Vec<Subject<'_>> = sets[..mapped]
                 .iter()
                 .map(|(model, set)| Subject { doc: &loaded.models[*model].doc, files: &input.models[*model], set })
                 .collect();
-            importances(source, &subjects, &input.limits, context)?.into_iter().map(Some).collect()
+            let own = importances(source, &subjects, &input.limits, context)?;
+            own.into_iter().map(Some).chain((mapped..sets.len()).map(|_| None)).collect()
         }
         None => vec![None; sets.len()],
     };
@@ -94,7 +100,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
         (true, 1) => Join::Nothing,
         _ => Join::All,
     };
-    for (model, set) in sets.iter().filter(|(_, set)| join != Join::Nothing && !can_join(set)) {
+    for (model, set) in sets[..mapped].iter().filter(|(_, set)| join != Join::Nothing && !can_join(set)) {
         loaded.speak_of(*model, context);
         let text = format!("the charts of {} spread too far for a shared sheet: it keeps its own atlas", set.name);
         context.warn(Warning::new("not_joined", text));
@@ -145,26 +151,27 @@ fn read(
     options: &Options,
     merging: bool,
     context: &Context,
-) -> Result<(Document, Option<Merge>, Vec<TextureSet>)> {
+) -> Result<(Document, MaterialIndex, Option<Merge>, Vec<TextureSet>)> {
     // Files that come with several models may be models themselves: the first is this one.
     let main = files.first().filter(|_| count > 1).map(|f| f.path.as_str());
     let (mut doc, warnings) = asset::load_while(files, main, &input.limits, &|| context.check())?;
     for warning in warnings {
         context.warn(warning);
     }
+    let mut index = MaterialIndex::new(&doc)?;
     let mut merge = None;
     if merging {
-        merge = asset::prepare_merge(&mut doc, options.atlas.uv_set as usize)?;
+        merge = asset::prepare_merge(&mut doc, &mut index, options.atlas.uv_set as usize)?;
         if merge.is_none() {
             let text = "the model is not merged: it uses an extension, or animates materials, that merging does not understand";
             context.warn(Warning::new("not_merged", text));
         }
     }
-    let mut sets = asset::read(&doc, options.atlas.reading(), context)?;
+    let mut sets = asset::read(&doc, &index, options.atlas.reading(), context)?;
     for set in &mut sets {
         exempt_uniform(&doc, set, input.limits.max_image_pixels, context)?;
     }
-    Ok((doc, merge, sets))
+    Ok((doc, index, merge, sets))
 }
 
 /// Files that several models come with count once.

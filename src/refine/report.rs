@@ -14,7 +14,7 @@ use crate::context::Context;
 use crate::error::Result;
 use crate::metrics::{
     AtlasReport, ImageReport, InputReport, MeasureInputs, Measures, ModelInput, ModelReport, Report, SlotSize,
-    TextureReport, TextureSource, measure, roll_up,
+    TextureReport, TextureSource, measure, roll_up, without_layout,
 };
 use crate::texture::Slot;
 
@@ -90,8 +90,9 @@ pub(super) fn report(
             Ok(atlas_report(loaded, r, refined))
         })
         .collect::<Result<_>>()?;
-    let all =
-        |pick: fn(&AtlasReport) -> &Measures| roll_up(&atlases.iter().map(|a| pick(a).clone()).collect::<Vec<_>>());
+    let all = |pick: fn(&AtlasReport) -> &Measures| {
+        roll_up(&atlases.iter().filter(|a| a.refined).map(|a| pick(a).clone()).collect::<Vec<_>>())
+    };
     let model = ModelReport { before: all(|a| &a.before), after: all(|a| &a.after) };
     let textures = refinements.iter().flat_map(|r| textures(loaded, r)).collect();
     Ok(Report {
@@ -110,6 +111,9 @@ pub(super) fn report(
 fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasReport {
     let set = r.group.set();
     let of = |atlas: &Atlas, inputs: MeasureInputs<'_>| {
+        if !atlas.has_layout() {
+            return without_layout(atlas);
+        }
         let topology = Topology::new(atlas);
         let charts = Charts::new(&topology);
         let clusters = clusters(atlas, &charts, OverlapMode::Stack);
@@ -125,14 +129,15 @@ fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasRepo
         signal_error: None,
     };
     let changed = || {
-        let (input, resampled_area) = (Some(&set.atlas), r.resampled_area());
+        let (input, resampled_area) = (Some(&set.atlas).filter(|a| a.has_layout()), r.resampled_area());
         of(
             &r.atlas,
             MeasureInputs { input, slots: &r.sizes_after(loaded), smallest_slot: None, resampled_area, ..inputs },
         )
     };
     let (before, after) = rayon::join(|| of(&set.atlas, inputs), || (!r.kept).then(changed));
-    let after = after.unwrap_or_else(|| Measures { resampled_area: refined.then_some(0.0), ..before.clone() });
+    let resampled_area = (refined && r.atlas.has_layout()).then_some(0.0);
+    let after = after.unwrap_or_else(|| Measures { resampled_area, ..before.clone() });
     let mut models: Vec<u64> = r.group.members.iter().map(|m| m.model as u64).collect();
     models.dedup();
     AtlasReport {
@@ -142,7 +147,7 @@ fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasRepo
         materials: material_names(loaded, r.group),
         pages: r.atlas.sheets.len() as u64,
         // What is only inspected is judged as it is.
-        refined: true,
+        refined: r.atlas.has_layout(),
         importance: r.group.importance.as_ref().and_then(Importance::range),
         before,
         after,

@@ -148,7 +148,8 @@ impl<'a> Run<'a> {
         let mut run_stages = || {
             for (n, step) in self.steps.iter().enumerate() {
                 self.context.enter(1 + n);
-                for refinement in &mut refinements {
+                // A stage that reads UVs leaves surfaces that have none.
+                for refinement in refinements.iter_mut().filter(|r| r.atlas.has_layout()) {
                     refinement.apply(step, self.options, self.context)?;
                 }
             }

@@ -45,7 +45,8 @@ fn model(outcome: &Outcome) -> Document {
 }
 
 fn sets(doc: &Document) -> Vec<TextureSet> {
-    asset::read(doc, ReadOptions::default(), &Context::silent()).unwrap()
+    let index = asset::MaterialIndex::new(doc).unwrap();
+    asset::read(doc, &index, ReadOptions::default(), &Context::silent()).unwrap()
 }
 
 /// The files of the refined textures whose names contain `part`.

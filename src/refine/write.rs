@@ -57,7 +57,7 @@ fn write_documents(loaded: &Loaded, refinements: &mut [Refinement<'_>], context:
                 owners.push((g, faces));
             }
         }
-        let doc = asset::write(&model.doc, &refined, context)?;
+        let doc = asset::write(&model.doc, &model.index, &refined, context)?;
         for (i, (g, faces)) in owners.into_iter().enumerate() {
             written[g].push((asset::read_back(&doc, &refined, i, context)?, faces.clone()));
         }

@@ -107,7 +107,8 @@ fn along_outlines(files: &[File]) -> f64 {
     let context = Context::silent();
     let cut = || {
         let (doc, _) = intarsia::asset::load(files, None, &intarsia::asset::Limits::default()).ok()?;
-        let sets = intarsia::asset::read(&doc, Options::default().atlas.reading(), &context).ok()?;
+        let index = intarsia::asset::MaterialIndex::new(&doc).ok()?;
+        let sets = intarsia::asset::read(&doc, &index, Options::default().atlas.reading(), &context).ok()?;
         let atlas = &sets.first()?.atlas;
         let after = remove_overlaps_along_outlines(atlas, Outlines::All, &context).ok()?;
         Some(border(&after) / border(atlas) - 1.0)

@@ -67,7 +67,9 @@ fn several_models_come_out_as_several() {
     let (code, out, errors) = intarsia(folder.path(), &["inspect", "in.glb", "other.glb", "--json", "--set", picture]);
     assert_eq!(code, 0, "{errors}");
     let report: Value = serde_json::from_str(&out).unwrap();
-    let atlases = report["atlases"].as_array().unwrap();
+    let mut atlases = report["atlases"].as_array().unwrap().clone();
+    // One of the primitives has no texture coordinates.
+    atlases.retain(|a| a["refined"] == true);
     assert!(atlases.len() > 1 && atlases.iter().all(|a| a["importance"].is_array()), "{out}");
 }
 

@@ -1,3 +1,4 @@
 //! Crashes and wrong results that were found once, each with what happened.
 
 mod compressed_streams;
+mod layouts;

@@ -1,7 +1,7 @@
 //! `--recipe box_cutter` on real models: valid, whole, free of overlaps, and without a trace of the cuts in the picture.
 
 use image::DynamicImage;
-use intarsia::asset::{File, Limits, load, read};
+use intarsia::asset::{File, Limits, MaterialIndex, load, read};
 use intarsia::atlas::OverlapMode;
 use intarsia::atlas::{Atlas, HalfEdge, Topology};
 use intarsia::context::Context;
@@ -38,7 +38,11 @@ fn model(outcome: &Outcome) -> &[u8] {
 fn atlas(glb: &[u8]) -> Atlas {
     let files = [File { path: "model.glb".to_owned(), bytes: glb.to_vec() }];
     let (doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
-    read(&doc, Options::default().atlas.reading(), &Context::silent()).expect("the model reads").swap_remove(0).atlas
+    let index = MaterialIndex::new(&doc).expect("the model is indexed");
+    read(&doc, &index, Options::default().atlas.reading(), &Context::silent())
+        .expect("the model reads")
+        .swap_remove(0)
+        .atlas
 }
 
 fn surface(atlas: &Atlas) -> f64 {

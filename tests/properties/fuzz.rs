@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use intarsia::asset::sample::sample;
-use intarsia::asset::{File, Limits, load, read};
+use intarsia::asset::{File, Limits, MaterialIndex, load, read};
 use intarsia::context::Context;
 use intarsia::error::{Code, Failure};
 use intarsia::refine::options::{IfLarger, Options};
@@ -172,12 +172,18 @@ fn model(files: &[File], whole: bool) -> Result<(), Failure> {
         // What goes out can come in. It may be larger than what came.
         let limits = Limits::default();
         let (doc, _) = load(&[file("out.glb", &result.bytes)], None, &limits).expect("the result loads");
-        read(&doc, options.atlas.reading(), &Context::silent()).expect("the result reads");
+        read(
+            &doc,
+            &MaterialIndex::new(&doc).expect("the result is indexed"),
+            options.atlas.reading(),
+            &Context::silent(),
+        )
+        .expect("the result reads");
         return Ok(());
     }
     doc.to_glb()?;
     doc.to_gltf()?;
-    read(&doc, options.atlas.reading(), &Context::silent())?;
+    read(&doc, &MaterialIndex::new(&doc)?, options.atlas.reading(), &Context::silent())?;
     Ok(())
 }
 

@@ -10,8 +10,8 @@ use std::time::Duration;
 use draco_core::{DataType, DecodeLimits, DecoderBuffer, ErrorKind, Mesh, MeshDecoder, PointAttribute, PointIndex};
 
 use crate::asset::accessor::RawAccessor;
+use crate::asset::accessor_layout::AccessorLayout;
 use crate::asset::accessor_type::ComponentType;
-use crate::asset::structure::Accessor;
 use crate::error::{Failure, Result};
 
 /// How often cancellation is looked for.
@@ -70,7 +70,7 @@ fn read(stream: &[u8], bounds: Bounds) -> Result<Mesh> {
 ///
 /// # Errors
 /// What does not fit, in words.
-pub(super) fn indices(mesh: &Mesh, accessor: &Accessor) -> std::result::Result<RawAccessor, String> {
+pub(super) fn indices(mesh: &Mesh, accessor: &AccessorLayout) -> std::result::Result<RawAccessor, String> {
     let values = mesh.faces().iter().flatten().map(|point| point.0);
     let mut data = Vec::with_capacity(3 * mesh.num_faces() * accessor.component.size());
     for value in values {
@@ -92,7 +92,7 @@ fn wide(value: u32) -> String {
 ///
 /// # Errors
 /// What does not fit, in words.
-pub(super) fn attribute(mesh: &Mesh, id: u32, accessor: &Accessor) -> std::result::Result<RawAccessor, String> {
+pub(super) fn attribute(mesh: &Mesh, id: u32, accessor: &AccessorLayout) -> std::result::Result<RawAccessor, String> {
     let found = mesh.attribute_by_unique_id(id).ok_or_else(|| format!("the Draco stream has no attribute {id}"))?;
     let components = usize::from(found.num_components());
     if components != accessor.kind.components() || accessor.element_size() != components * accessor.component.size() {
@@ -114,7 +114,7 @@ pub(super) fn attribute(mesh: &Mesh, id: u32, accessor: &Accessor) -> std::resul
     Ok(filled(accessor, data))
 }
 
-fn filled(accessor: &Accessor, data: Vec<u8>) -> RawAccessor {
+fn filled(accessor: &AccessorLayout, data: Vec<u8>) -> RawAccessor {
     let element_size = accessor.element_size();
     RawAccessor {
         component_type: accessor.component,

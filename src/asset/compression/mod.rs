@@ -1,8 +1,8 @@
-//! Compressed geometry, taken apart at the door: what comes after sees an ordinary document.
+//! Compressed geometry, decompressed while a model is loaded: what comes after sees an ordinary document.
 //!
 //! [`views`] decodes buffer views (EXT_meshopt_compression, KHR_meshopt_compression), [`primitives`] primitives
 //! (KHR_draco_mesh_compression). Indices of buffer views and accessors stay; decoded bytes are appended to a buffer, the
-//! extensions are removed, and the model is written uncompressed, which a warning tells once for each of them.
+//! extensions are removed, and the model is written uncompressed, as a warning for each of them says.
 
 mod draco;
 mod meshopt;
@@ -17,15 +17,6 @@ use serde_json::{Map, Value};
 
 use super::uri::quote;
 use crate::error::{Failure, Result, Warning};
-
-const DRACO: &str = "KHR_draco_mesh_compression";
-/// The same layout under two names; the second also has colour filters.
-const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
-
-/// Whether an extension is gone once a model is loaded.
-pub(crate) fn is_decoded(extension: &str) -> bool {
-    extension == DRACO || MESHOPT.contains(&extension)
-}
 
 /// The object of an extension in a glTF object, where it has one.
 ///

@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use super::draco::{self, Bounds};
-use super::{DRACO, decompressed, extension, remove_extension, undeclare};
+use super::{decompressed, extension, remove_extension, undeclare};
 use crate::asset::accessor::RawAccessor;
+use crate::asset::accessor_layout::{self, AccessorLayout, list, needed, whole};
 use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, set_bounds};
-use crate::asset::resolve::Budget;
-use crate::asset::structure::{self, Accessor, list, needed, whole};
-use crate::asset::{ComponentType, Document, Kind, Limits};
+use crate::asset::extensions::DRACO;
+use crate::asset::limits::{Budget, Limits};
+use crate::asset::{ComponentType, Document, Kind};
 use crate::error::{Code, Failure, Result, Warning};
 
 /// Bytes that the attributes of one vertex may take in a stream: it may hold more than the primitive names.
@@ -26,7 +27,7 @@ struct Job {
     view: usize,
     /// Name, accessor and number in the stream of each attribute.
     attributes: Vec<(String, usize, u32)>,
-    /// Accessor of the indices.
+    /// AccessorLayout of the indices.
     indices: Option<usize>,
     /// Whether it has attributes or morph targets outside the stream, whose elements go with those inside.
     mixed: bool,
@@ -55,7 +56,7 @@ pub(crate) fn primitives(
     for job in &jobs {
         check()?;
         after += decode(document, job, limits, budget, &mut filled, warnings, check)?;
-        streams.insert(job.view, structure::view(&document.json, job.view)?.length);
+        streams.insert(job.view, accessor_layout::view(&document.json, job.view)?.length);
     }
     for mesh in document.json.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten() {
         for primitive in mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten() {
@@ -96,7 +97,7 @@ impl Job {
     /// Whether every accessor that the stream would fill has contents of its own.
     fn is_there_uncompressed(&self, json: &Value) -> bool {
         let mut accessors = self.attributes.iter().map(|(_, index, _)| *index).chain(self.indices);
-        accessors.all(|index| structure::accessor(json, index).is_ok_and(|a| a.view.is_some()))
+        accessors.all(|index| accessor_layout::accessor(json, index).is_ok_and(|a| a.view.is_some()))
     }
 }
 
@@ -136,11 +137,11 @@ fn decode(
     check: &dyn Fn() -> Result<()>,
 ) -> Result<usize> {
     let own = format!("/meshes/{}/primitives/{}", job.mesh, job.primitive);
-    let accessor = |index: usize| structure::accessor(&document.json, index);
+    let accessor = |index: usize| accessor_layout::accessor(&document.json, index);
     let accessors = job.attributes.iter().map(|(_, index, _)| accessor(*index)).collect::<Result<Vec<_>>>()?;
     let indices = match job.indices {
         Some(index) => accessor(index)?,
-        None => Accessor {
+        None => AccessorLayout {
             component: ComponentType::U32,
             kind: Kind::Scalar,
             normalized: false,

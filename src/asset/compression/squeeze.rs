@@ -3,8 +3,8 @@
 use serde_json::Value;
 
 use crate::asset::Document;
-use crate::asset::prune::is_understood;
-use crate::asset::structure::view;
+use crate::asset::accessor_layout::view;
+use crate::asset::extensions::all_understood;
 
 /// Leaves of a buffer what buffer views name, in the same order and on the same 16-byte boundaries. Does nothing where
 /// an extension might name bytes unseen, or a view is broken, which others tell.
@@ -19,7 +19,7 @@ pub(super) fn squeeze(document: &mut Document, buffer: usize) {
             used.push((view.offset, end, index));
         }
     }
-    if !is_understood(&document.json) {
+    if !all_understood(&document.json) {
         return;
     }
     used.sort_unstable();

@@ -4,18 +4,19 @@ use std::collections::BTreeSet;
 
 use serde_json::{Map, Value};
 
-use super::meshopt::{Filter, Layout, Mode, decode};
+use super::meshopt::{Filter, Mode, StreamLayout, decode};
 use super::squeeze::squeeze;
-use super::{MESHOPT, decompressed, extension, remove_extension, undeclare, word};
+use super::{decompressed, extension, remove_extension, undeclare, word};
 use crate::asset::Document;
 use crate::asset::accessor::raw_elements;
+use crate::asset::accessor_layout::{list, needed, whole};
 use crate::asset::append::set_bounds;
-use crate::asset::resolve::Budget;
-use crate::asset::structure::{list, needed, whole};
+use crate::asset::extensions::MESHOPT;
+use crate::asset::limits::Budget;
 use crate::error::{Code, Failure, Result, Warning};
 
 /// What a buffer view says of its compressed source.
-struct Source {
+struct CompressedSource {
     /// Which of the two names.
     name: &'static str,
     /// JSON pointer of the extension.
@@ -24,7 +25,7 @@ struct Source {
     buffer: usize,
     offset: usize,
     length: usize,
-    layout: Layout,
+    layout: StreamLayout,
 }
 
 /// Buffers that only stand in for what is compressed: no byte of them is needed, and none need be there.
@@ -148,7 +149,7 @@ pub(crate) fn renew_bounds(document: &mut Document, views: &BTreeSet<usize>) -> 
 }
 
 /// The compressed source of a buffer view, where it has one.
-fn source(view: &Value, index: usize) -> Result<Option<Source>> {
+fn source(view: &Value, index: usize) -> Result<Option<CompressedSource>> {
     let own = format!("/bufferViews/{index}");
     for name in MESHOPT {
         if let Some(object) = extension(view, name, &own)? {
@@ -158,7 +159,7 @@ fn source(view: &Value, index: usize) -> Result<Option<Source>> {
     Ok(None)
 }
 
-fn read(object: &Map<String, Value>, name: &'static str, pointer: String) -> Result<Source> {
+fn read(object: &Map<String, Value>, name: &'static str, pointer: String) -> Result<CompressedSource> {
     let modes = [("ATTRIBUTES", Mode::Attributes), ("TRIANGLES", Mode::Triangles), ("INDICES", Mode::Indices)];
     let filters = [
         ("NONE", Filter::None),
@@ -167,7 +168,7 @@ fn read(object: &Map<String, Value>, name: &'static str, pointer: String) -> Res
         ("EXPONENTIAL", Filter::Exponential),
         ("COLOR", Filter::Color),
     ];
-    let layout = Layout {
+    let layout = StreamLayout {
         mode: word(object, "mode", &modes, &pointer)?
             .ok_or_else(|| Failure::model("mode is missing").at(pointer.clone()))?,
         filter: word(object, "filter", &filters, &pointer)?.unwrap_or(Filter::None),
@@ -175,7 +176,7 @@ fn read(object: &Map<String, Value>, name: &'static str, pointer: String) -> Res
         stride: needed(object, "byteStride", &pointer)?,
     };
     layout.check().map_err(|why| Failure::model(why.to_string()).at(pointer.clone()))?;
-    Ok(Source {
+    Ok(CompressedSource {
         name,
         buffer: needed(object, "buffer", &pointer)?,
         offset: whole(object, "byteOffset", &pointer)?.unwrap_or(0),
@@ -186,7 +187,7 @@ fn read(object: &Map<String, Value>, name: &'static str, pointer: String) -> Res
 }
 
 /// The buffer that a view names, and the bytes that the view has once it is decoded.
-fn target(view: &Value, source: &Source, pointer: &str) -> Result<(usize, usize)> {
+fn target(view: &Value, source: &CompressedSource, pointer: &str) -> Result<(usize, usize)> {
     let empty = Map::new();
     let object = view.as_object().unwrap_or(&empty);
     let wanted = needed(object, "byteLength", pointer)?;

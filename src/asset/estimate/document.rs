@@ -6,15 +6,16 @@ use std::io::Read;
 
 use serde_json::Value;
 
+use super::super::extensions::MESHOPT;
 use super::super::glb;
 use super::super::json::array;
 use super::super::limits::Limits;
 use super::super::load::Container;
-use super::super::resolve::triangles;
+use super::super::primitive::declared_triangles;
 use super::super::uri;
 use super::files::{Files, Forward, Stream};
 use super::sum::Sum;
-use super::tree::{self, MESHOPT};
+use super::tree;
 use crate::texture::{Header, probe};
 
 /// Bytes of a string at first: the head of an image in a data URI.
@@ -23,7 +24,7 @@ const STRING: usize = 128 << 10;
 const MOST_ROUNDS: usize = 64;
 
 /// A document and where its parts lie.
-struct Draft {
+struct DocumentOutline {
     json: Value,
     /// Where the binary chunk of a GLB begins.
     bin: u64,
@@ -40,7 +41,7 @@ pub(super) fn add(files: &mut Files, index: usize, container: Container, limits:
                 _ => (0, limits.max_json_bytes, 0),
             };
             file.to(start).ok()?;
-            Some(Draft { json: tree::read(file, length.min(limits.max_json_bytes), string)?, bin, string })
+            Some(DocumentOutline { json: tree::read(file, length.min(limits.max_json_bytes), string)?, bin, string })
         }
     };
     let Some(mut draft) = files.open(index, read(STRING)).flatten() else { return };
@@ -73,7 +74,7 @@ fn chunks(file: &mut dyn Forward) -> Option<(u64, u64, u64)> {
     head.starts_with(glb::MAGIC).then_some((20, length, 28 + length))
 }
 
-impl Draft {
+impl DocumentOutline {
     fn element<'a>(&'a self, key: &str, index: &Value) -> Option<&'a Value> {
         array(&self.json, key).get(usize::try_from(index.as_u64()?).ok()?)
     }
@@ -93,7 +94,7 @@ impl Draft {
     fn images(&self, model: usize, files: &mut Files) -> Vec<Option<Header>> {
         let mut found = Vec::new();
         // By file and offset, so that each file is read once and forward: the longest view, and the images.
-        let mut views: BTreeMap<Holder, BTreeMap<u64, (u64, Vec<usize>)>> = BTreeMap::new();
+        let mut views: BTreeMap<BufferHolder, BTreeMap<u64, (u64, Vec<usize>)>> = BTreeMap::new();
         for (index, image) in array(&self.json, "images").iter().enumerate() {
             let place = image.get("bufferView").and_then(|view| self.view(view, model, files));
             if let Some((holder, offset)) = place {
@@ -122,8 +123,8 @@ impl Draft {
             // Once, unless images lie in each other and the file is a stream.
             for _ in 0..MOST_ROUNDS {
                 let done = match holder {
-                    Holder::File(index) => files.open(index, &mut read),
-                    Holder::Data(buffer) => {
+                    BufferHolder::File(index) => files.open(index, &mut read),
+                    BufferHolder::Data(buffer) => {
                         let uri = array(&self.json, "buffers").get(buffer).and_then(|b| b.get("uri")?.as_str());
                         uri.and_then(data_bytes).map(|bytes| read(&mut Stream::new(&*bytes)))
                     }
@@ -137,15 +138,15 @@ impl Draft {
     }
 
     /// What holds a buffer view, and where it begins there.
-    fn view(&self, view: &Value, model: usize, files: &Files) -> Option<(Holder, u64)> {
+    fn view(&self, view: &Value, model: usize, files: &Files) -> Option<(BufferHolder, u64)> {
         let view = self.element("bufferViews", view)?;
         let offset = view.get("byteOffset").and_then(whole).unwrap_or(0);
         let number = view.get("buffer")?;
         let buffer = self.element("buffers", number)?;
         Some(match buffer.get("uri").and_then(Value::as_str) {
-            None => (Holder::File(model), self.bin.checked_add(offset)?),
-            Some(data) if uri::is_data(data) => (Holder::Data(usize::try_from(number.as_u64()?).ok()?), offset),
-            Some(uri) => (Holder::File(self.file(uri, model, files)?), offset),
+            None => (BufferHolder::File(model), self.bin.checked_add(offset)?),
+            Some(data) if uri::is_data(data) => (BufferHolder::Data(usize::try_from(number.as_u64()?).ok()?), offset),
+            Some(uri) => (BufferHolder::File(self.file(uri, model, files)?), offset),
         })
     }
 
@@ -172,12 +173,13 @@ impl Draft {
             sum.gathered(declared.min(there));
         }
         for view in array(&self.json, "bufferViews") {
-            if view.get("extensions").is_some_and(|e| e.get(MESHOPT).is_some()) {
+            // Buffer views that grow when they are decoded.
+            if view.get("extensions").is_some_and(|e| MESHOPT.iter().any(|name| e.get(name).is_some())) {
                 sum.gathered(view.get("byteLength").and_then(whole).unwrap_or(0));
             }
         }
         let meshes = array(&self.json, "meshes");
-        sum.triangles(meshes.iter().fold(0, |all, mesh| all.saturating_add(triangles(&self.json, mesh))));
+        sum.triangles(meshes.iter().fold(0, |all, mesh| all.saturating_add(declared_triangles(&self.json, mesh))));
         let primitives = meshes.iter().flat_map(|m| array(m, "primitives"));
         let positions: BTreeSet<u64> =
             primitives.filter_map(|p| p.get("attributes")?.get("POSITION")?.as_u64()).collect();
@@ -189,7 +191,7 @@ impl Draft {
 
 /// What holds the bytes of a buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Holder {
+enum BufferHolder {
     /// A file of the upload.
     File(usize),
     /// The data URI of a buffer.

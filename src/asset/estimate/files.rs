@@ -9,7 +9,7 @@ use zip::ZipArchive;
 use super::super::archive::{check_entries, is_litter, is_zip, too_much};
 use super::super::limits::Limits;
 use super::super::load::{Container, container};
-use super::super::upload::{Entry, Upload, clean_path};
+use super::super::upload::{Upload, UploadEntry, clean_path};
 use super::super::uri::normalise;
 use crate::error::Result;
 use crate::texture::{Header, probe};
@@ -57,8 +57,8 @@ impl<R: Read> Forward for Stream<R> {
 }
 
 /// A file of the upload.
-pub(super) struct Known {
-    place: Place,
+pub(super) struct KnownFile {
+    place: FilePlace,
     /// Bytes, unpacked.
     pub(super) length: u64,
     /// What it says of itself, where it is an image.
@@ -67,7 +67,7 @@ pub(super) struct Known {
     pub(super) container: Option<Container>,
 }
 
-enum Place {
+enum FilePlace {
     Disk(PathBuf),
     /// Index of the archive, and of the entry in it.
     Archive(usize, usize),
@@ -77,7 +77,7 @@ enum Place {
 #[derive(Default)]
 pub(super) struct Files {
     archives: Vec<ZipArchive<BufReader<File>>>,
-    known: Vec<Known>,
+    known: Vec<KnownFile>,
     /// Their clean paths in the same order, with nothing in them, to be found as the loader finds files.
     upload: Upload<'static>,
     /// Bytes of archives.
@@ -105,9 +105,9 @@ impl Files {
                 all.packed = all.packed.saturating_add(length);
                 all.unpack(name, file, &mut entries)?;
             } else {
-                let mut entry = Entry { path: clean_path(name, index), bytes: Vec::new().into() };
+                let mut entry = UploadEntry { path: clean_path(name, index), bytes: Vec::new().into() };
                 let (image, container) = look(&mut entry, &mut file, index == 0);
-                all.known.push(Known { place: Place::Disk(path.to_owned()), length, image, container });
+                all.known.push(KnownFile { place: FilePlace::Disk(path.to_owned()), length, image, container });
                 entries.push(entry);
             }
         }
@@ -116,7 +116,7 @@ impl Files {
     }
 
     /// Walks an archive. Its entries are read to their ends and kept nowhere: what they declare is not believed.
-    fn unpack(&mut self, name: &str, mut file: File, entries: &mut Vec<Entry<'static>>) -> Result<()> {
+    fn unpack(&mut self, name: &str, mut file: File, entries: &mut Vec<UploadEntry<'static>>) -> Result<()> {
         if check_entries(name, &file).is_err() || file.to(0).is_err() {
             return Ok(());
         }
@@ -125,14 +125,14 @@ impl Files {
             let Ok(file) = archive.by_index(index) else { continue };
             let inner = String::from_utf8_lossy(file.name_raw()).into_owned();
             let Some(path) = normalise(&inner).filter(|_| !file.is_dir() && !is_litter(&inner)) else { continue };
-            let mut entry = Entry { path, bytes: Vec::new().into() };
+            let mut entry = UploadEntry { path, bytes: Vec::new().into() };
             let mut stream = Stream::new(file.take(self.left.saturating_add(1)));
             let (image, container) = look(&mut entry, &mut stream, false);
             // An entry that breaks off has been read as far as the job will read it.
             let _ = io::copy(&mut stream, &mut io::sink());
             self.left = self.left.checked_sub(stream.at).ok_or_else(|| too_much(name))?;
-            let place = Place::Archive(self.archives.len(), index);
-            self.known.push(Known { place, length: stream.at, image, container });
+            let place = FilePlace::Archive(self.archives.len(), index);
+            self.known.push(KnownFile { place, length: stream.at, image, container });
             entries.push(entry);
         }
         self.archives.push(archive);
@@ -140,7 +140,7 @@ impl Files {
     }
 
     /// All files in their order.
-    pub(super) fn known(&self) -> &[Known] {
+    pub(super) fn known(&self) -> &[KnownFile] {
         &self.known
     }
 
@@ -157,8 +157,8 @@ impl Files {
     /// Gives a file to `read`.
     pub(super) fn open<T>(&mut self, index: usize, read: impl FnOnce(&mut dyn Forward) -> T) -> Option<T> {
         match &self.known.get(index)?.place {
-            Place::Disk(path) => Some(read(&mut File::open(path).ok()?)),
-            Place::Archive(archive, entry) => {
+            FilePlace::Disk(path) => Some(read(&mut File::open(path).ok()?)),
+            FilePlace::Archive(archive, entry) => {
                 let file = self.archives.get_mut(*archive)?.by_index(*entry).ok()?;
                 Some(read(&mut Stream::new(file)))
             }
@@ -167,7 +167,7 @@ impl Files {
 }
 
 /// What a file is by its head.
-fn look(entry: &mut Entry<'static>, file: &mut dyn Read, guess: bool) -> (Option<Header>, Option<Container>) {
+fn look(entry: &mut UploadEntry<'static>, file: &mut dyn Read, guess: bool) -> (Option<Header>, Option<Container>) {
     let mut head = Vec::new();
     let _ = file.take(HEAD).read_to_end(&mut head);
     let image = probe(head.chain(file));

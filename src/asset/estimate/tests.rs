@@ -67,6 +67,19 @@ fn samples_count_what_is_decoded_of_them() {
 }
 
 #[test]
+fn compressed_views_count_decoded_under_either_name() {
+    let bytes = |name: &str| {
+        let mut view = json!({ "buffer": 0, "byteLength": 90_000_000 });
+        view["extensions"][name] = json!({ "buffer": 0, "byteLength": 9 });
+        let json = gltf(&json!([]), json!({ "buffers": [{ "byteLength": 9 }], "bufferViews": [view] }));
+        estimated(&[("m.gltf", &json)]).bytes
+    };
+    let [ext, khr] = ["EXT_meshopt_compression", "KHR_meshopt_compression"].map(bytes);
+    assert_eq!(ext, khr);
+    assert!(ext > bytes("ACME_compression") + 90_000_000);
+}
+
+#[test]
 fn an_archive_needs_what_is_in_it_and_itself() {
     let model = sample::made("textured").to_vec();
     let plain = estimated(&[("m.glb", &model)]);

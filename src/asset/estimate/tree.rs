@@ -7,8 +7,10 @@ use std::io::{BufRead, BufReader, Read};
 use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::{Map, Value};
 
+use super::super::extensions::MESHOPT;
+
 /// Keys of objects that are kept, wherever they stand.
-const KEYS: [&str; 18] = [
+const KEYS: [&str; 19] = [
     "accessors",
     "attributes",
     "buffer",
@@ -26,10 +28,9 @@ const KEYS: [&str; 18] = [
     "POSITION",
     "primitives",
     "uri",
-    MESHOPT,
+    MESHOPT[0],
+    MESHOPT[1],
 ];
-/// The extension whose buffer views grow when they are decoded.
-pub(super) const MESHOPT: &str = "EXT_meshopt_compression";
 /// Values that are kept at most, some 100 bytes each; the rest of a larger document counts by its length alone.
 const MOST_VALUES: usize = 2_000_000;
 

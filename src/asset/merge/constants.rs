@@ -6,42 +6,43 @@ use serde_json::{Map, Value, json};
 
 use super::MergedMaterial;
 use crate::asset::json::{array, array_mut, object};
-use crate::asset::scan::{Material, Scan, scan};
-use crate::asset::{ARRAY_BUFFER, Document, Layout, RawAccessor, accessor_count};
+use crate::asset::material_index::{Material, MaterialIndex};
+use crate::asset::{ARRAY_BUFFER, Document, RawAccessor, UvLayout, accessor_count};
 use crate::texture::{Format, Role, encode, from_samples, linear_to_srgb};
 
 /// Side of the texture that stands for factors, in texels.
 const SIDE: u32 = 4;
 
-/// Puts the factors of materials without textures into textures, where some textured material differs in nothing else. Gives the
-/// images made.
+/// Puts the factors of materials without textures into textures, where some textured material differs in nothing else; the
+/// index follows. Gives the images made.
 ///
 /// # Errors
 /// `invalid_model` for a broken accessor.
 pub(super) fn fold(
     doc: &mut Document,
+    index: &mut MaterialIndex,
     uv_set: usize,
     report: &mut [MergedMaterial],
 ) -> crate::error::Result<BTreeSet<usize>> {
     let mut made = BTreeSet::new();
+    let mut folded = Vec::new();
     let materials = array(&doc.json, "materials").to_vec();
-    let scan = scan(doc)?;
-    let textured = |m: &usize| scan.materials.get(*m).is_some_and(|s| !s.uses.is_empty());
+    let textured = |m: &usize| index.materials.get(*m).is_some_and(|s| !s.uses.is_empty());
     for (m, material) in materials.iter().enumerate().filter(|(m, _)| !textured(m)) {
         let mut say = |why: &str| {
             if let Some(entry) = report.get_mut(m) {
                 entry.kept = Some(why.to_owned());
             }
         };
-        let primitives = match readers(doc, &scan, m, uv_set) {
+        let primitives = match readers(doc, index, m, uv_set) {
             Ok(primitives) => primitives,
             Err(why) => {
                 say(why);
                 continue;
             }
         };
-        let hosts = materials.iter().zip(&scan.materials).filter(|(_, s)| !s.uses.is_empty());
-        let fitting = hosts.filter_map(|(host, scanned)| Some((host, fit(material, host, scanned, uv_set)?))).next();
+        let hosts = materials.iter().zip(&index.materials).filter(|(_, s)| !s.uses.is_empty());
+        let fitting = hosts.filter_map(|(host, indexed)| Some((host, fit(material, host, indexed, uv_set)?))).next();
         let Some((host, constants)) = fitting else {
             say("no textured material differs in nothing but factors");
             continue;
@@ -65,6 +66,7 @@ pub(super) fn fold(
             }
         }
         doc.json["materials"][m] = changed;
+        folded.push(m);
         for pointer in primitives {
             let at = format!("{pointer}/attributes");
             let count = doc.json.pointer(&at).and_then(|a| a.get("POSITION")?.as_u64());
@@ -76,18 +78,19 @@ pub(super) fn fold(
             }
         }
     }
+    index.follow_materials(&doc.json, &folded)?;
     Ok(made)
 }
 
 /// Pointers of the primitives that a material without textures is drawn on, where all of them can be given texture coordinates;
 /// else the reason.
-fn readers(doc: &Document, scan: &Scan, material: usize, uv_set: usize) -> Result<Vec<String>, &'static str> {
+fn readers(doc: &Document, index: &MaterialIndex, material: usize, uv_set: usize) -> Result<Vec<String>, &'static str> {
     if uv_set > 0 {
         // glTF numbers its TEXCOORD sets from 0 on.
         return Err("texture coordinates can be made in set 0 only");
     }
     let mut found = Vec::new();
-    for primitive in scan.primitives.iter().filter(|p| p.materials.contains(&material)) {
+    for primitive in index.primitives.iter().filter(|p| p.materials.contains(&material)) {
         if primitive.materials.len() > 1 {
             return Err("a primitive with variants has it");
         }
@@ -117,13 +120,13 @@ struct Constant {
 }
 
 /// The textures that make `material` look as it is with all factors of `host`; none where the two differ in anything else.
-fn fit(material: &Value, host: &Value, scanned: &Material, uv_set: usize) -> Option<Vec<Constant>> {
+fn fit(material: &Value, host: &Value, indexed: &Material, uv_set: usize) -> Option<Vec<Constant>> {
     const BASE: &str = "/pbrMetallicRoughness/baseColorTexture";
     const ROUGH: &str = "/pbrMetallicRoughness/metallicRoughnessTexture";
     // Neither directions nor extensions, whose neutral texels are not exact or not known; one plain layout.
-    let plain = scanned.uses.iter().all(|u| {
+    let plain = indexed.uses.iter().all(|u| {
         let known = [Role::BaseColor, Role::MetallicRoughness, Role::Occlusion, Role::Emissive];
-        u.layout == Layout::plain(uv_set) && u.role.is_some_and(|r| known.contains(&r))
+        u.layout == UvLayout::plain(uv_set) && u.role.is_some_and(|r| known.contains(&r))
     });
     if !plain || host.pointer(BASE).is_none() {
         return None;

@@ -9,7 +9,7 @@ use super::join::{joined, key, triangles};
 use super::shown;
 use crate::asset::Document;
 use crate::asset::json::array;
-use crate::asset::scan::primitive_pointer;
+use crate::asset::primitive::primitive_pointer;
 use crate::error::Result;
 
 /// A mesh that several nodes show is copied into another only where it has no more triangles than this.
@@ -49,7 +49,7 @@ pub(super) fn within_meshes(doc: &mut Document) -> Result<()> {
 }
 
 /// A node that shows a mesh and never moves.
-struct Still {
+struct StaticNode {
     node: usize,
     mesh: usize,
     /// From the node's space to the scene's.
@@ -61,12 +61,12 @@ struct Still {
 /// # Errors
 /// `invalid_model` for broken accessors.
 pub(super) fn across_nodes(doc: &mut Document) -> Result<()> {
-    let stills = stills(&doc.json);
+    let static_nodes = static_nodes(&doc.json);
     let mut uses: BTreeMap<usize, usize> = BTreeMap::new();
     shown(&doc.json).for_each(|m| *uses.entry(m).or_default() += 1);
-    // By key: the primitives, as (index into `stills`, primitive).
+    // By key: the primitives, as (index into `static_nodes`, primitive).
     let mut groups: BTreeMap<String, Vec<(usize, usize)>> = BTreeMap::new();
-    for (s, still) in stills.iter().enumerate() {
+    for (s, still) in static_nodes.iter().enumerate() {
         let mesh = doc.json.pointer(&format!("/meshes/{}", still.mesh)).unwrap_or(&Value::Null);
         for (p, primitive) in array(mesh, "primitives").iter().enumerate() {
             let shared = uses.get(&still.mesh).is_some_and(|n| *n > 1);
@@ -84,14 +84,14 @@ pub(super) fn across_nodes(doc: &mut Document) -> Result<()> {
     // By still: what its primitives become; none for those that went elsewhere.
     let mut fresh: BTreeMap<usize, Vec<Option<Value>>> = BTreeMap::new();
     for group in order {
-        let host = &stills[group[0].0];
+        let host = &static_nodes[group[0].0];
         let inverse = host.world.inverse();
         if !inverse.is_finite() {
             continue;
         }
         let mut parts = Vec::new();
         for &(s, p) in &group {
-            let still = &stills[s];
+            let still = &static_nodes[s];
             let value = doc.json.pointer(&primitive_pointer(still.mesh, p)).cloned().unwrap_or(Value::Null);
             // The host's own stay bit by bit.
             let transform = (still.node != host.node).then(|| inverse * still.world);
@@ -99,7 +99,7 @@ pub(super) fn across_nodes(doc: &mut Document) -> Result<()> {
         }
         let one = joined(doc, &parts)?;
         for &(s, p) in &group {
-            let mesh = doc.json.pointer(&format!("/meshes/{}", stills[s].mesh)).unwrap_or(&Value::Null);
+            let mesh = doc.json.pointer(&format!("/meshes/{}", static_nodes[s].mesh)).unwrap_or(&Value::Null);
             let uploaded = || array(mesh, "primitives").iter().cloned().map(Some).collect();
             fresh.entry(s).or_insert_with(uploaded)[p] = None;
         }
@@ -109,14 +109,14 @@ pub(super) fn across_nodes(doc: &mut Document) -> Result<()> {
     }
     for (s, primitives) in fresh {
         let left: Vec<Value> = primitives.into_iter().flatten().collect();
-        let node = stills[s].node;
+        let node = static_nodes[s].node;
         if left.is_empty() {
             if let Some(object) = doc.json["nodes"][node].as_object_mut() {
                 object.shift_remove("mesh");
             }
             continue;
         }
-        let mut mesh = stills[s].mesh;
+        let mut mesh = static_nodes[s].mesh;
         if uses.get(&mesh).is_some_and(|n| *n > 1) {
             let clone = doc.json["meshes"][mesh].clone();
             mesh = doc.push("meshes", clone);
@@ -161,7 +161,7 @@ fn drop_unused_meshes(doc: &mut Document, before: &BTreeMap<usize, usize>) {
 
 /// Nodes with a mesh, without skin, weights or extensions, that no animation moves, nor what they hang from, in the order of
 /// the one scene; empty where there are several.
-fn stills(json: &Value) -> Vec<Still> {
+fn static_nodes(json: &Value) -> Vec<StaticNode> {
     let (nodes, scenes) = (array(json, "nodes"), array(json, "scenes"));
     let [scene] = scenes else { return Vec::new() };
     let number = |v: &Value| v.as_u64().and_then(|n| usize::try_from(n).ok()).filter(|n| *n < nodes.len());
@@ -192,7 +192,7 @@ fn stills(json: &Value) -> Vec<Still> {
         let mesh = node.get("mesh").and_then(Value::as_u64).and_then(|m| usize::try_from(m).ok());
         let mesh = mesh.filter(|m| array(json, "meshes").get(*m).is_some_and(|mesh| mesh.get("weights").is_none()));
         if let Some(mesh) = mesh.filter(|_| plain && world.is_finite()) {
-            out.push(Still { node: n, mesh, world });
+            out.push(StaticNode { node: n, mesh, world });
         }
     }
     out

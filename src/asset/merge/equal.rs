@@ -6,16 +6,17 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 
 use crate::asset::Document;
+use crate::asset::extensions::{self, VARIANTS};
 use crate::asset::json::{array, object_mut};
-use crate::asset::scan::{SOURCES, Scan, scan};
+use crate::asset::material_index::MaterialIndex;
 use crate::error::Result;
 
-/// Textures name the first of images with equal bytes.
-pub(super) fn images(doc: &mut Document, scan: &Scan) {
+/// Textures name the first of images with equal bytes; the index follows.
+pub(super) fn images(doc: &mut Document, index: &mut MaterialIndex) {
     let mut first: BTreeMap<[u8; 32], usize> = BTreeMap::new();
     let mut same: Vec<usize> = (0..doc.images.len()).collect();
     for (i, bytes) in doc.images.iter().enumerate() {
-        if let Some(bytes) = bytes.as_ref().filter(|_| !scan.named_images.contains(&i)) {
+        if let Some(bytes) = bytes.as_ref().filter(|_| !index.named_images.contains(&i)) {
             same[i] = *first.entry(Sha256::digest(bytes).into()).or_insert(i);
         }
     }
@@ -23,11 +24,16 @@ pub(super) fn images(doc: &mut Document, scan: &Scan) {
         if let Some(source) = texture.get_mut("source") {
             renumber(source, &same);
         }
-        for name in SOURCES {
+        for name in extensions::all().filter(|e| e.image_source).map(|e| e.name) {
             if let Some(source) = texture.pointer_mut(&format!("/extensions/{name}/source")) {
                 renumber(source, &same);
             }
         }
+    }
+    let same = |image: usize| same.get(image).copied().unwrap_or(image);
+    for texture in &mut index.textures {
+        texture.image = texture.image.map(same);
+        texture.fallback = texture.fallback.map(same);
     }
 }
 
@@ -49,25 +55,27 @@ pub(super) fn samplers(doc: &mut Document) {
     }
 }
 
-/// Materials name the first of equal textures (names aside); the others are taken out.
+/// Materials name the first of equal textures (names aside); the others are taken out. The index follows.
 ///
 /// # Errors
 /// `invalid_model` for a broken texture info.
-pub(super) fn textures(doc: &mut Document) -> Result<()> {
-    let scan = scan(doc)?;
+pub(super) fn textures(doc: &mut Document, index: &mut MaterialIndex) -> Result<()> {
     let (same, first) = firsts(array(&doc.json, "textures"));
     let mut number = vec![None; same.len()];
     for (n, texture) in first.iter().enumerate() {
-        number[*texture] = Some(n as u64);
+        number[*texture] = Some(n);
     }
-    for (m, material) in scan.materials.iter().enumerate() {
-        for used in &material.uses {
+    for (m, material) in index.materials.iter_mut().enumerate() {
+        for used in &mut material.uses {
             let new = same.get(used.texture).and_then(|t| number[*t]);
-            if let Some(new) = new.filter(|n| *n != used.texture as u64) {
+            if let Some(new) = new.filter(|n| *n != used.texture) {
                 object_mut(&mut doc.json, &format!("/materials/{m}{}", used.path))?.insert("index".into(), new.into());
+                used.texture = new;
             }
         }
     }
+    let mut kept = number.iter();
+    index.textures.retain(|_| kept.next().is_none_or(Option::is_some));
     if let Some(all) = doc.json.get_mut("textures").and_then(Value::as_array_mut) {
         let mut keep = number.iter();
         all.retain(|_| keep.next().is_none_or(Option::is_some));
@@ -79,12 +87,13 @@ pub(super) fn textures(doc: &mut Document) -> Result<()> {
 /// them stay in the list, so that their numbers stay.
 pub(super) fn materials(doc: &mut Document) -> Vec<usize> {
     let (same, _) = firsts(array(&doc.json, "materials"));
+    let variants = format!("/extensions/{VARIANTS}/mappings");
     for mesh in doc.json.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten() {
         for primitive in mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten() {
             if let Some(m) = primitive.get_mut("material") {
                 renumber(m, &same);
             }
-            let mappings = primitive.pointer_mut("/extensions/KHR_materials_variants/mappings");
+            let mappings = primitive.pointer_mut(&variants);
             for mapping in mappings.and_then(Value::as_array_mut).into_iter().flatten() {
                 if let Some(m) = mapping.get_mut("material") {
                     renumber(m, &same);

@@ -17,10 +17,10 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::Document;
+use super::document::Document;
+use super::extensions;
 use super::json::array;
-use super::prune;
-use super::scan::{Scan, scan};
+use super::material_index::MaterialIndex;
 use super::sources::{drop_images, each_source};
 use crate::error::{Failure, Result};
 
@@ -63,34 +63,24 @@ pub struct MergedMaterial {
     pub kept: Option<String>,
 }
 
-/// A document on its way through merging.
+/// A document between [`prepare`] and [`finish`].
 #[derive(Debug, Clone)]
 pub struct Merge(Merged);
 
-/// Images that merging changed the standing of, by index.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Merging {
-    /// Made of factors: surfaces read them at one point.
-    pub constants: BTreeSet<usize>,
-    /// Equal to others, which stand in for them.
-    pub spare: BTreeSet<usize>,
-}
-
-/// Makes equal images and textures one, and textures of factors. `uv_set` is the TEXCOORD set that is refined. None, with the
+/// Makes equal images and textures one, and textures of factors; `index`, that of the document, follows. `uv_set` is the TEXCOORD set that is refined. None, with the
 /// document untouched, where an extension is not understood.
 ///
 /// # Errors
 /// `invalid_model` with a pointer for a broken document.
-pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
+pub fn prepare(doc: &mut Document, index: &mut MaterialIndex, uv_set: usize) -> Result<Option<Merge>> {
     let mut channels = array(&doc.json, "animations").iter().flat_map(|a| array(a, "channels"));
     // An animation by pointer names materials and textures one by one.
-    if !prune::is_understood(&doc.json) || channels.any(|c| c.pointer("/target/extensions").is_some()) {
+    if !extensions::all_understood(&doc.json) || channels.any(|c| c.pointer("/target/extensions").is_some()) {
         return Ok(None);
     }
-    let scan = scan(doc)?;
     let mut merged = Merged::default();
     merged.draw_calls.before = draw_calls(&doc.json);
-    [merged.images.before, merged.textures.before] = read_by_materials(&scan);
+    [merged.images.before, merged.textures.before] = read_by_materials(index);
     let materials = array(&doc.json, "materials").iter().enumerate();
     merged.materials = materials
         .map(|(i, value)| MergedMaterial {
@@ -103,11 +93,11 @@ pub fn prepare(doc: &mut Document, uv_set: usize) -> Result<Option<Merge>> {
         })
         .collect();
     let named = named_by_textures(doc);
-    equal::images(doc, &scan);
+    equal::images(doc, index);
     let left = named_by_textures(doc);
     doc.merging.spare = named.difference(&left).copied().collect();
-    equal::textures(doc)?;
-    doc.merging.constants = constants::fold(doc, uv_set, &mut merged.materials)?;
+    equal::textures(doc, index)?;
+    doc.merging.constants = constants::fold(doc, index, uv_set, &mut merged.materials)?;
     Ok(Some(Merge(merged)))
 }
 
@@ -119,7 +109,8 @@ pub fn finish(doc: &mut Document, merge: Merge) -> Result<Merged> {
     let Merge(mut merged) = merge;
     let drawn = join::drawn(doc)?;
     equal::samplers(doc);
-    equal::textures(doc)?;
+    let mut index = MaterialIndex::new(doc)?;
+    equal::textures(doc, &mut index)?;
     let read = named_by_textures(doc);
     let gone: Vec<usize> = doc.merging.spare.difference(&read).copied().collect();
     drop_images(doc, &gone);
@@ -132,9 +123,9 @@ pub fn finish(doc: &mut Document, merge: Merge) -> Result<Merged> {
     if join::drawn(doc)? != drawn {
         return Err(Failure::internal("joining draw calls lost triangles or changed what they read"));
     }
-    let scan = scan(doc)?;
+    index.follow_primitives(&doc.json)?;
     merged.draw_calls.after = draw_calls(&doc.json);
-    [merged.images.after, merged.textures.after] = read_by_materials(&scan);
+    [merged.images.after, merged.textures.after] = read_by_materials(&index);
     Ok(merged)
 }
 
@@ -146,11 +137,11 @@ fn named_by_textures(doc: &mut Document) -> BTreeSet<usize> {
 }
 
 /// Images and textures that the primitives' materials read.
-fn read_by_materials(scan: &Scan) -> [u64; 2] {
-    let used: BTreeSet<usize> = scan.primitives.iter().flat_map(|p| p.materials.iter().copied()).collect();
-    let uses = used.iter().filter_map(|m| scan.materials.get(*m)).flat_map(|m| &m.uses);
+fn read_by_materials(index: &MaterialIndex) -> [u64; 2] {
+    let used: BTreeSet<usize> = index.primitives.iter().flat_map(|p| p.materials.iter().copied()).collect();
+    let uses = used.iter().filter_map(|m| index.materials.get(*m)).flat_map(|m| &m.uses);
     let textures: BTreeSet<usize> = uses.map(|u| u.texture).collect();
-    let images: BTreeSet<usize> = textures.iter().filter_map(|t| scan.textures.get(*t)?.image).collect();
+    let images: BTreeSet<usize> = textures.iter().filter_map(|t| index.textures.get(*t)?.image).collect();
     [images.len() as u64, textures.len() as u64]
 }
 

@@ -91,7 +91,8 @@ fn what_is_drawn_alike_is_drawn_at_once() {
     let mut doc = model();
     let before = scene(&doc);
     let uploaded = doc.json.clone();
-    let merge = prepare(&mut doc, 0).unwrap().unwrap();
+    let mut index = MaterialIndex::new(&doc).unwrap();
+    let merge = prepare(&mut doc, &mut index, 0).unwrap().unwrap();
     // The equal images are one, the factors are a texture.
     assert_eq!(doc.json["textures"], json!([{ "source": 0 }, { "source": 2 }]));
     assert_eq!(doc.merging.constants, BTreeSet::from([2]));
@@ -124,7 +125,8 @@ fn what_differs_stays_and_says_why() {
     let reason = |change: &dyn Fn(&mut Value)| {
         let mut doc = model();
         change(&mut doc.json);
-        let merge = prepare(&mut doc, 0).unwrap();
+        let mut index = MaterialIndex::new(&doc).unwrap();
+        let merge = prepare(&mut doc, &mut index, 0).unwrap();
         merge.map(|m| m.0.materials[2].kept.clone().unwrap_or_default())
     };
     let different = Some("no textured material differs in nothing but factors".to_owned());
@@ -146,7 +148,8 @@ fn what_differs_stays_and_says_why() {
     for m in 0..3 {
         doc.json["materials"][m]["alphaMode"] = json!("BLEND");
     }
-    let merge = prepare(&mut doc, 0).unwrap().unwrap();
+    let mut index = MaterialIndex::new(&doc).unwrap();
+    let merge = prepare(&mut doc, &mut index, 0).unwrap().unwrap();
     assert_eq!(finish(&mut doc, merge).unwrap().draw_calls, Counts { before: 5, after: 5 });
 }
 
@@ -179,7 +182,8 @@ fn many_small_meshes_of_many_nodes() {
     doc.json["nodes"] = Value::Array(nodes);
     doc.json["scenes"] = json!([{ "nodes": [0] }]);
     let before = scene(&doc);
-    let merge = prepare(&mut doc, 0).unwrap().unwrap();
+    let mut index = MaterialIndex::new(&doc).unwrap();
+    let merge = prepare(&mut doc, &mut index, 0).unwrap().unwrap();
     let merged = finish(&mut doc, merge).unwrap();
     assert_eq!(merged.draw_calls, Counts { before: 60, after: 2 });
     let after = scene(&doc);

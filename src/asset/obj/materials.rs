@@ -47,7 +47,7 @@ pub(crate) fn read_libraries(
 }
 
 /// A file named from another one; absolute paths of somebody's disk are cut to the file name.
-fn find<'u, 'a>(name: &str, from: &str, upload: &'u Upload<'a>) -> Option<&'u crate::asset::upload::Entry<'a>> {
+fn find<'u, 'a>(name: &str, from: &str, upload: &'u Upload<'a>) -> Option<&'u crate::asset::upload::UploadEntry<'a>> {
     upload.find(&clean(name, from)?)
 }
 

@@ -1,4 +1,4 @@
-//! OBJ with MTL, turned into a glTF document at the door.
+//! OBJ with MTL, converted to a glTF document while it is loaded.
 //!
 //! One mesh, one primitive for each material in order of first use; a material whose faces differ in having texture
 //! coordinates or normals gets one primitive for each kind. The v axis is flipped to glTF's.
@@ -17,20 +17,20 @@ use serde_json::json;
 
 use super::Document;
 use super::limits::Limits;
-use super::upload::{Entry, Upload};
+use super::upload::{Upload, UploadEntry};
 use super::uri::{self, quote};
 use crate::error::{Failure, Result, Warning};
 use lines::{Lines, keyword};
 use materials::Materials;
 use mtl::Mtl;
-use parse::{Geometry, NONE};
+use parse::{NONE, ObjGeometry};
 
 /// Loads an OBJ file with the libraries and images that it names.
 ///
 /// # Errors
 /// `invalid_model` with the line number, `too_large` beyond `limits`.
 pub(crate) fn load(
-    entry: &Entry<'_>,
+    entry: &UploadEntry<'_>,
     upload: &Upload<'_>,
     limits: &Limits,
     warnings: &mut Vec<Warning>,
@@ -68,9 +68,9 @@ pub(crate) fn load(
 /// glTF materials of those that faces use, in order of first use; by index into the OBJ's names.
 fn add_materials(
     document: &mut Document,
-    geometry: &Geometry,
+    geometry: &ObjGeometry,
     parts: &[primitives::Part],
-    entry: &Entry<'_>,
+    entry: &UploadEntry<'_>,
     upload: &Upload<'_>,
     limits: &Limits,
     warnings: &mut Vec<Warning>,
@@ -100,7 +100,7 @@ fn add_materials(
     Ok(indices)
 }
 
-fn warn_of_dropped(geometry: &Geometry, warnings: &mut Vec<Warning>) {
+fn warn_of_dropped(geometry: &ObjGeometry, warnings: &mut Vec<Warning>) {
     if let Some((count, line)) = geometry.thin {
         let message = format!("{count} faces of fewer than three corners are dropped, the first in line {line}");
         warnings.push(Warning::new("degenerate_faces_dropped", message));

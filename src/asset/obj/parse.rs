@@ -17,7 +17,7 @@ pub(crate) type Corner = [u32; 3];
 
 /// What an OBJ file says.
 #[derive(Debug, Default)]
-pub(crate) struct Geometry {
+pub(crate) struct ObjGeometry {
     /// `v`
     pub(crate) positions: Vec<[f32; 3]>,
     /// Colour of each position; empty where no vertex has one, white where only this one has none.
@@ -55,7 +55,7 @@ pub(crate) struct Face {
     pub(crate) line: u32,
 }
 
-impl Geometry {
+impl ObjGeometry {
     /// The corners of a face.
     pub(crate) fn corners_of(&self, face: &Face) -> &[Corner] {
         let start = face.start as usize;
@@ -68,8 +68,8 @@ impl Geometry {
 /// # Errors
 /// `invalid_model` with the line number: a number that is none, NaN or infinite, an index that is out of range;
 /// `too_large` beyond the limit on triangles.
-pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<Geometry> {
-    let mut geometry = Geometry::default();
+pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
+    let mut geometry = ObjGeometry::default();
     let mut lines = Lines::new(bytes);
     let mut material = NONE;
     let mut triangles: u64 = 0;
@@ -121,7 +121,7 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<Geometry> {
     Ok(geometry)
 }
 
-fn vertex(geometry: &mut Geometry, rest: &[u8], line: usize) -> Result<()> {
+fn vertex(geometry: &mut ObjGeometry, rest: &[u8], line: usize) -> Result<()> {
     let mut values = [0.0_f32; 7];
     let mut count = 0;
     for word in words(rest) {
@@ -178,7 +178,7 @@ fn finite(word: &[u8], line: usize) -> Result<f32> {
 }
 
 /// Reads a face; gives the number of its corners.
-fn face(geometry: &mut Geometry, rest: &[u8], material: u32, line: usize) -> Result<u64> {
+fn face(geometry: &mut ObjGeometry, rest: &[u8], material: u32, line: usize) -> Result<u64> {
     let start = geometry.corners.len();
     for word in words(rest) {
         let mut parts = word.split(|b| *b == b'/');
@@ -219,7 +219,7 @@ fn index(text: &[u8], count: usize, what: &str, line: usize) -> Result<u32> {
         .ok_or_else(|| Failure::model(format!("line {line}: {what} {value} is out of range, {count} are known here")))
 }
 
-fn check(geometry: &Geometry) -> Result<()> {
+fn check(geometry: &ObjGeometry) -> Result<()> {
     let counts = [geometry.positions.len(), geometry.uvs.len(), geometry.normals.len()];
     for face in &geometry.faces {
         for corner in geometry.corners_of(face) {

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::parse::{Corner, Face, Geometry, NONE};
+use super::parse::{Corner, Face, NONE, ObjGeometry};
 use super::polygon::Triangulator;
 use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
 use crate::asset::{Document, RawAccessor};
@@ -28,7 +28,7 @@ pub(crate) struct Part {
 }
 
 /// Builds the primitives: one for each material and kind of corner, in order of first use.
-pub(crate) fn build(geometry: &Geometry, warnings: &mut Vec<Warning>) -> Vec<Part> {
+pub(crate) fn build(geometry: &ObjGeometry, warnings: &mut Vec<Warning>) -> Vec<Part> {
     let mut parts: Vec<Part> = Vec::new();
     let mut by_key: HashMap<(u32, bool, bool), usize> = HashMap::new();
     let mut triangulator = Triangulator::default();
@@ -75,7 +75,7 @@ pub(crate) fn build(geometry: &Geometry, warnings: &mut Vec<Warning>) -> Vec<Par
 
 impl Part {
     /// The vertex of a corner, made at its first use.
-    fn vertex(&mut self, geometry: &Geometry, corner: Corner, face: &Face) -> u32 {
+    fn vertex(&mut self, geometry: &ObjGeometry, corner: Corner, face: &Face) -> u32 {
         let next = self.positions.len() as u32;
         let index = *self.known.entry(corner).or_insert(next);
         if index < next {
@@ -153,7 +153,7 @@ fn linear(colors: &[[f32; 3]]) -> Vec<[f32; 3]> {
     colors.iter().map(|c| c.map(decode)).collect()
 }
 
-fn position(geometry: &Geometry, corner: &Corner) -> DVec3 {
+fn position(geometry: &ObjGeometry, corner: &Corner) -> DVec3 {
     let found = geometry.positions.get(corner[0] as usize).copied().unwrap_or_default();
     DVec3::from_array(found.map(f64::from))
 }
@@ -164,7 +164,7 @@ fn unit(normal: [f32; 3]) -> Option<[f32; 3]> {
     Some(normal.to_array().map(|v| v as f32))
 }
 
-fn face_normal(geometry: &Geometry, face: &Face) -> [f32; 3] {
+fn face_normal(geometry: &ObjGeometry, face: &Face) -> [f32; 3] {
     let corners = geometry.corners_of(face);
     let [a, b, c] = [0, 1, 2].map(|k| corners.get(k).map_or(DVec3::ZERO, |c| position(geometry, c)));
     (b - a).cross(c - a).try_normalize().unwrap_or(DVec3::Z).to_array().map(|v| v as f32)

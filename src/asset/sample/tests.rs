@@ -3,8 +3,8 @@
 use glam::{DVec2, DVec3};
 
 use super::*;
-use crate::asset::ReadOptions;
 use crate::asset::{Document, File, Limits, load, read, read_indices, read_vec2, read_vec3, read_vec4};
+use crate::asset::{MaterialIndex, ReadOptions};
 use crate::atlas::{Atlas, Charts, Loops, Topology};
 use crate::context::Context;
 
@@ -110,7 +110,7 @@ fn the_others_have_what_they_are_for() {
 fn atlas(name: &str) -> Atlas {
     let (doc, _) =
         load(&[File { path: "scan.glb".to_owned(), bytes: made(name).to_vec() }], None, &Limits::default()).unwrap();
-    let mut sets = read(&doc, ReadOptions::default(), &Context::silent()).unwrap();
+    let mut sets = read(&doc, &MaterialIndex::new(&doc).unwrap(), ReadOptions::default(), &Context::silent()).unwrap();
     assert_eq!(sets.len(), 1);
     sets.remove(0).atlas
 }

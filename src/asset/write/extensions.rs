@@ -2,15 +2,12 @@
 
 use serde_json::Value;
 
+use crate::asset::extensions;
 use crate::asset::json::{array, array_mut, object};
-use crate::asset::transform;
-
-/// Extensions that refining takes out of a document or puts into it.
-const OURS: [&str; 3] = [transform::EXTENSION, "KHR_texture_basisu", "EXT_texture_webp"];
 
 /// Declares what is used now, and no longer what refining took out. What was declared without being used stays so.
 pub(super) fn declare(before: &Value, after: &mut Value) {
-    for name in OURS {
+    for name in extensions::all().filter(|e| e.written).map(|e| e.name) {
         let (old, new) = (is_used(before, name), is_used(after, name));
         if old && !new {
             for key in ["extensionsUsed", "extensionsRequired"] {

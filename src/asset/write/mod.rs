@@ -25,10 +25,13 @@ use self::textures::{Owner, Textures};
 use self::vertices::{Points, Pool, Vertices};
 use super::accessor::RawAccessor;
 use super::append::ELEMENT_ARRAY_BUFFER;
+use super::document::Document;
+use super::extensions::VARIANTS;
 use super::geometry::vertex_count;
 use super::json::{array, array_mut, object_mut};
-use super::scan::{primitive_pointer, scan};
-use super::{Document, PrimitiveRef, TextureSet};
+use super::material_index::MaterialIndex;
+use super::primitive::primitive_pointer;
+use super::texture_set::{PrimitiveRef, TextureSet};
 use crate::atlas::{Atlas, FaceId};
 use crate::context::Context;
 use crate::error::{Failure, Result};
@@ -61,15 +64,14 @@ pub struct BakedImage {
     pub shared: Option<String>,
 }
 
-/// Writes refined sets into a copy of the document that they were read from.
+/// Writes refined sets into a copy of the document that they were read from; `index` is that of the document.
 ///
 /// # Errors
 /// `invalid_model` for attributes of differing counts, `too_large` when the vertices grow beyond what a GLB can hold,
 /// `internal` where a set does not belong to the document or an image of it is missing, `canceled`.
-pub fn write(doc: &Document, sets: &[Refined<'_>], context: &Context) -> Result<Document> {
-    let scan = scan(doc)?;
+pub fn write(doc: &Document, index: &MaterialIndex, sets: &[Refined<'_>], context: &Context) -> Result<Document> {
     let mut out = doc.clone();
-    let mut textures = Textures::new(&scan, sets, array(&doc.json, "images").len());
+    let mut textures = Textures::new(index, sets, array(&doc.json, "images").len());
     textures.place_images(&mut out)?;
     let faces: Vec<Vec<Vec<FaceId>>> = sets.iter().map(|s| faces_of(s.set, s.atlas)).collect::<Result<_>>()?;
     let lost: Vec<Vec<bool>> =
@@ -259,7 +261,7 @@ fn set_materials(
     page: usize,
 ) -> Result<()> {
     let mut places = vec![format!("{pointer}/material")];
-    let mappings = format!("{pointer}/extensions/KHR_materials_variants/mappings");
+    let mappings = format!("{pointer}/extensions/{VARIANTS}/mappings");
     let count = out.json.pointer(&mappings).and_then(Value::as_array).map_or(0, Vec::len);
     places.extend((0..count).map(|i| format!("{mappings}/{i}/material")));
     for place in places {

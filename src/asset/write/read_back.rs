@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::{Refined, faces_of, pages};
-use crate::asset::geometry::{Geometry, Reader, weld};
+use crate::asset::geometry::{GeometryReader, PrimitiveGeometry, weld};
 use crate::asset::json::array;
-use crate::asset::scan::primitive_pointer;
-use crate::asset::{Document, Layout};
+use crate::asset::primitive::primitive_pointer;
+use crate::asset::{Document, UvLayout};
 use crate::atlas::{Atlas, FaceId, UvId};
 use crate::context::Context;
 use crate::error::{Failure, Result};
@@ -21,16 +21,16 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
     let (set, after) = (refined.set, refined.atlas);
     let faces = faces_of(set, after)?;
     let appended = if after.sheets.len() > 1 { appended(doc, sets)? } else { BTreeMap::new() };
-    let mut reader = Reader::new(doc);
+    let mut reader = GeometryReader::new(doc);
     // Geometries, the faces that they hold, and the page of each.
-    let mut parts: Vec<(Geometry, Vec<FaceId>, u16)> = Vec::new();
+    let mut parts: Vec<(PrimitiveGeometry, Vec<FaceId>, u16)> = Vec::new();
     for (p, primitive) in set.primitives.iter().enumerate() {
         for (n, page) in pages(after, &faces[p]).into_iter().enumerate() {
             let number = match n {
                 0 => primitive.primitive,
                 _ => appended.get(&(index, p)).map_or(usize::MAX, |first| first + n - 1),
             };
-            let geometry = reader.read(primitive.mesh, number, Layout::plain(primitive.written), context)?;
+            let geometry = reader.read(primitive.mesh, number, Some(UvLayout::plain(primitive.written)), context)?;
             let own: Vec<FaceId> = faces[p].iter().copied().filter(|f| after.page[f.index()] == page).collect();
             if own.len() != geometry.corners.len() {
                 let text = format!("{} triangles were written, and {} are read", own.len(), geometry.corners.len());

@@ -8,18 +8,15 @@ use bevy_mikktspace::{Geometry, TangentSpace, generate_tangents};
 use serde_json::Value;
 
 use super::blend::{unit, wide};
-use super::turn::Turn;
+use super::turn::{Tangent, Turn};
 use super::vertices::{Point, Points};
 use super::{Refined, reads_directions, uploaded};
 use crate::asset::accessor::{read_vec2, read_vec3};
 use crate::asset::json::{array, index};
-use crate::asset::scan::primitive_pointer;
+use crate::asset::primitive::primitive_pointer;
 use crate::asset::{Document, PrimitiveRef};
 use crate::atlas::{Atlas, FaceId, HalfEdge, Topology};
 use crate::error::Result;
-
-/// A tangent with its handedness, as glTF has it.
-pub(crate) type Tangent = [f32; 4];
 
 /// Which primitives of a set lost the tangents that renderers would compute: they read directions, have NORMAL and no TANGENT, and
 /// a face of theirs was split, turned or mirrored, or an edge of theirs was cut or joined. (Where UVs are sheared, the
@@ -65,7 +62,7 @@ pub(crate) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Optio
     let (Some(positions), Some(normals), Some(uvs)) = (find("POSITION")?, find("NORMAL")?, find(&name)?) else {
         return Ok(None);
     };
-    let mut mesh = Mesh {
+    let mut mesh = TangentMesh {
         corners: &primitive.corners,
         positions: read_vec3(doc, positions)?,
         normals: read_vec3(doc, normals)?,
@@ -83,7 +80,7 @@ pub(crate) fn generate(doc: &Document, primitive: &PrimitiveRef) -> Result<Optio
     Ok(Some(mesh.tangents))
 }
 
-struct Mesh<'a> {
+struct TangentMesh<'a> {
     corners: &'a [[u32; 3]],
     positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
@@ -91,13 +88,13 @@ struct Mesh<'a> {
     tangents: Vec<[Tangent; 3]>,
 }
 
-impl Mesh<'_> {
+impl TangentMesh<'_> {
     fn vertex(&self, face: usize, corner: usize) -> usize {
         self.corners[face][corner] as usize
     }
 }
 
-impl Geometry for Mesh<'_> {
+impl Geometry for TangentMesh<'_> {
     fn num_faces(&self) -> usize {
         self.corners.len()
     }

@@ -10,7 +10,9 @@ use crate::asset::{File, Limits, load, raw_elements, read, read_indices, read_ve
 use crate::atlas::{Charts, FaceId, Move, Provenance, Topology, UvId, VertexId};
 
 fn sets_of(doc: &Document) -> Vec<TextureSet> {
-    read(doc, ReadOptions::default(), &Context::silent()).unwrap()
+    let mut sets = read(doc, &MaterialIndex::new(doc).unwrap(), ReadOptions::default(), &Context::silent()).unwrap();
+    sets.retain(|set| set.atlas.has_layout());
+    sets
 }
 
 /// Charts moved as told, one page unless told.
@@ -41,7 +43,7 @@ fn baked(set: &TextureSet, pages: usize) -> Vec<BakedImage> {
 /// Writes one set, saves and loads it.
 fn round(doc: &Document, set: &TextureSet, atlas: &Atlas) -> Document {
     let refined = [Refined { set, atlas, images: baked(set, atlas.sheets.len()) }];
-    let out = write(doc, &refined, &Context::silent()).unwrap();
+    let out = write(doc, &MaterialIndex::new(doc).unwrap(), &refined, &Context::silent()).unwrap();
     let again = read_back(&out, &refined, 0, &Context::silent()).unwrap();
     assert_eq!(again.face_count(), atlas.face_count());
     for face in atlas.faces() {
@@ -389,7 +391,7 @@ fn real_models_keep_every_vertex_of_every_face() {
             .collect();
         let refined: Vec<Refined<'_>> =
             sets.iter().zip(&atlases).map(|(set, atlas)| Refined { set, atlas, images: baked(set, 2) }).collect();
-        let out = write(&doc, &refined, &Context::silent()).unwrap();
+        let out = write(&doc, &MaterialIndex::new(&doc).unwrap(), &refined, &Context::silent()).unwrap();
         for (i, one) in refined.iter().enumerate() {
             let again = read_back(&out, &refined, i, &Context::silent()).unwrap();
             for face in one.atlas.faces() {
@@ -494,4 +496,32 @@ fn a_texture_loses_the_extension_that_gave_its_image() {
     assert_eq!(out.json["textures"][0], json!({ "source": 0, "sampler": 0 }));
     assert_eq!((out.images.len(), out.json.get("extensionsUsed")), (1, None));
     assert_eq!(out.images[0].as_ref().unwrap(), &png(3, 1));
+}
+
+#[test]
+fn a_layout_made_for_a_surface_without_one_is_written_and_read_back() {
+    let mut doc = document(&[]);
+    let places = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+    let positions = attribute(&mut doc, &places);
+    let normals = attribute(&mut doc, &[[0.0, 0.0, 1.0]; 4]);
+    let p = primitive(&mut doc, &[("POSITION", positions), ("NORMAL", normals)], &[0, 1, 2, 2, 1, 3]);
+    mesh(&mut doc, vec![p]);
+    let index = MaterialIndex::new(&doc).unwrap();
+    let set = read(&doc, &index, ReadOptions::default(), &Context::silent()).unwrap().remove(0);
+    assert!(!set.atlas.has_layout() && set.atlas.face_count() == 2);
+    // Its two triangles apart.
+    let mut atlas = Atlas { sheets: vec![[64, 64]], ..set.atlas.clone() };
+    for face in 0..2 {
+        let own = set.atlas.triangle(FaceId::new(face));
+        atlas.corners[face] = [0, 1, 2].map(|k| UvId::new(3 * face + k));
+        atlas.uv.extend(own.map(|p| p.truncate() * 16.0 + DVec2::new(20.0 * face as f64, 0.0) + 4.0));
+    }
+    let refined = [Refined { set: &set, atlas: &atlas, images: Vec::new() }];
+    let out = write(&doc, &index, &refined, &Context::silent()).unwrap();
+    let again = read_back(&out, &refined, 0, &Context::silent()).unwrap();
+    assert_eq!(crate::atlas::check(&set.atlas, &again, crate::atlas::Exactness::Rounded(1e-4)), Ok(()));
+    let attributes = &out.json["meshes"][0]["primitives"][0]["attributes"];
+    assert_eq!(attributes.as_object().unwrap().keys().collect::<Vec<_>>(), ["POSITION", "NORMAL", "TEXCOORD_0"]);
+    let uvs = attributes["TEXCOORD_0"].as_u64().unwrap() as usize;
+    assert!(read_vec2(&out, uvs).unwrap().len() == 6);
 }

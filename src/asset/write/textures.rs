@@ -6,11 +6,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::{Map, Value, json};
 
 use super::{BakedImage, Refined};
+use crate::asset::extensions::{TEXTURE_TRANSFORM, TEXTURE_WEBP, is_image_source};
 use crate::asset::json::object_mut;
-use crate::asset::scan::{SOURCES, Scan, TextureUse};
+use crate::asset::material_index::{MaterialIndex, TextureUse};
 use crate::asset::sets::class;
 use crate::asset::sources::{drop_images, each_source};
-use crate::asset::{Document, Layout, transform};
+use crate::asset::{Document, UvLayout};
 use crate::error::{Failure, Result};
 use crate::texture::Slot;
 use crate::texture::{Format, Wrap};
@@ -20,7 +21,7 @@ const CLAMP_TO_EDGE: u32 = 33071;
 
 /// Decides where the images, textures and materials of the refined layouts go.
 pub(super) struct Textures<'a> {
-    scan: &'a Scan,
+    index: &'a MaterialIndex,
     sets: &'a [Refined<'a>],
     /// By material: whether a primitive that is not refined may read it.
     shared_materials: Vec<bool>,
@@ -53,7 +54,7 @@ pub(super) struct Owner {
     /// Index into the refined sets.
     set: usize,
     /// The layout that was refined.
-    layout: Layout,
+    layout: UvLayout,
     /// Number of the TEXCOORD set that has the new one.
     written: usize,
 }
@@ -68,17 +69,17 @@ impl Owner {
 
 impl<'a> Textures<'a> {
     /// Finds out who reads what.
-    pub(super) fn new(scan: &'a Scan, sets: &'a [Refined<'a>], images: usize) -> Self {
+    pub(super) fn new(index: &'a MaterialIndex, sets: &'a [Refined<'a>], images: usize) -> Self {
         let mut owners: BTreeMap<(usize, usize), Owner> = BTreeMap::new();
         for (s, refined) in sets.iter().enumerate() {
             for (p, primitive) in refined.set.primitives.iter().enumerate() {
                 owners.insert((primitive.mesh, primitive.primitive), Owner::of(sets, s, p));
             }
         }
-        let count = scan.materials.len();
+        let count = index.materials.len();
         let (mut used, mut shared) = (vec![false; count], vec![false; count]);
         let mut readers: Vec<BTreeSet<Owner>> = vec![BTreeSet::new(); count];
-        for primitive in &scan.primitives {
+        for primitive in &index.primitives {
             let owner = owners.get(&(primitive.mesh, primitive.primitive));
             for &m in &primitive.materials {
                 used[m] = true;
@@ -87,12 +88,12 @@ impl<'a> Textures<'a> {
             }
         }
         // An extension that is not understood may give a material to something.
-        shared.iter_mut().zip(&used).for_each(|(shared, used)| *shared |= !used && !scan.understood);
+        shared.iter_mut().zip(&used).for_each(|(shared, used)| *shared |= !used && !index.understood);
         let mut out = Textures {
-            scan,
+            index,
             sets,
             shared_materials: shared,
-            foreign_textures: vec![false; scan.textures.len()],
+            foreign_textures: vec![false; index.textures.len()],
             foreign_images: vec![false; images],
             images: BTreeMap::new(),
             formats: BTreeMap::new(),
@@ -104,18 +105,18 @@ impl<'a> Textures<'a> {
             materials: BTreeMap::new(),
             in_place: BTreeSet::new(),
         };
-        for (m, (material, readers)) in scan.materials.iter().zip(readers).enumerate() {
+        for (m, (material, readers)) in index.materials.iter().zip(readers).enumerate() {
             for used in &material.uses {
                 let refined = !readers.is_empty() && readers.iter().all(|owner| out.slot_of(*owner, used).is_some());
                 out.foreign_textures[used.texture] |= out.shared_materials[m] || !refined;
             }
         }
-        for texture in scan.named_textures.iter().filter(|t| **t < scan.textures.len()) {
+        for texture in index.named_textures.iter().filter(|t| **t < index.textures.len()) {
             out.foreign_textures[*texture] = true;
         }
-        let foreign = scan.textures.iter().zip(&out.foreign_textures).filter(|(_, foreign)| **foreign);
+        let foreign = index.textures.iter().zip(&out.foreign_textures).filter(|(_, foreign)| **foreign);
         let foreign = foreign.flat_map(|(t, _)| t.image.into_iter().chain(t.fallback));
-        let foreign = foreign.chain(scan.named_images.iter().copied());
+        let foreign = foreign.chain(index.named_images.iter().copied());
         for image in foreign.filter(|i| *i < images) {
             out.foreign_images[image] = true;
         }
@@ -124,7 +125,7 @@ impl<'a> Textures<'a> {
 
     /// The slot that a material's texture is refined as.
     fn slot_of(&self, owner: Owner, used: &TextureUse) -> Option<usize> {
-        let image = self.scan.textures.get(used.texture)?.image?;
+        let image = self.index.textures.get(used.texture)?.image?;
         let role = used.role.filter(|_| used.layout == owner.layout)?;
         let slots = &self.sets.get(owner.set)?.set.slots;
         slots.iter().position(|s: &Slot| s.image == image && class(s.role) == class(role) && !s.exempt)
@@ -172,7 +173,7 @@ impl<'a> Textures<'a> {
         self.replaced.retain(|r| !read.contains(&(*r as u64)) && !foreign(r));
         self.replaced.sort_unstable();
         self.replaced.dedup();
-        if !self.scan.understood || self.replaced.is_empty() {
+        if !self.index.understood || self.replaced.is_empty() {
             return;
         }
         drop_images(out, &self.replaced);
@@ -194,13 +195,13 @@ impl<'a> Textures<'a> {
         if let Some(done) = self.materials.get(&key) {
             return Ok(*done);
         }
-        let scan = self.scan;
-        let uses = scan.materials.get(material).map_or(&[][..], |m| &m.uses);
+        let index = self.index;
+        let uses = index.materials.get(material).map_or(&[][..], |m| &m.uses);
         let mut edits = Vec::new();
         for used in uses {
             if let Some(slot) = self.slot_of(owner, used) {
                 let texture = self.texture(out, used.texture, owner.set, slot, page)?;
-                let moved = Layout::plain(owner.written) != used.layout;
+                let moved = UvLayout::plain(owner.written) != used.layout;
                 if texture != used.texture || moved {
                     edits.push(Edit { used, texture, uv_set: moved.then_some(owner.written) });
                 }
@@ -234,19 +235,19 @@ impl<'a> Textures<'a> {
         if let Some(done) = self.textures.get(&key) {
             return Ok(*done);
         }
-        let scanned = self.scan.textures.get(texture).cloned().unwrap_or_default();
+        let indexed = self.index.textures.get(texture).cloned().unwrap_or_default();
         let image = self.images.get(&(set, slot, page)).copied();
         let image = image.ok_or_else(|| Failure::internal("a refined texture has no image"))?;
-        let sampler = match scanned.wrap {
+        let sampler = match indexed.wrap {
             [Wrap::ClampToEdge, Wrap::ClampToEdge] => None,
-            _ => Some(self.clamped(out, scanned.sampler)),
+            _ => Some(self.clamped(out, indexed.sampler)),
         };
         let mut number = texture;
         let foreign = self.foreign_textures.get(texture).copied().unwrap_or(true);
         if page > 0 || foreign || !self.taken.insert(texture) {
             let clone = out.json.pointer(&format!("/textures/{texture}")).cloned().unwrap_or_else(|| json!({}));
             number = out.push("textures", clone);
-        } else if let Some(fallback) = scanned.fallback {
+        } else if let Some(fallback) = indexed.fallback {
             self.replaced.push(fallback);
         }
         let object = object_mut(&mut out.json, &format!("/textures/{number}"))?;
@@ -295,7 +296,7 @@ fn place(out: &mut Document, index: usize, baked: &BakedImage, in_place: bool) -
 /// Gives a texture its image: as its core source, or where the format needs it by extension.
 fn set_source(texture: &mut Map<String, Value>, image: usize, format: Option<Format>) {
     if let Some(extensions) = texture.get_mut("extensions").and_then(Value::as_object_mut) {
-        extensions.retain(|name, _| !SOURCES.contains(&name.as_str()));
+        extensions.retain(|name, _| !is_image_source(name));
         if extensions.is_empty() {
             texture.shift_remove("extensions");
         }
@@ -303,7 +304,7 @@ fn set_source(texture: &mut Map<String, Value>, image: usize, format: Option<For
     if format.is_some_and(Format::needs_extension) {
         texture.shift_remove("source");
         let extensions = texture.entry("extensions").or_insert_with(|| json!({}));
-        extensions["EXT_texture_webp"] = json!({ "source": image });
+        extensions[TEXTURE_WEBP] = json!({ "source": image });
     } else {
         texture.insert("source".to_owned(), Value::from(image));
     }
@@ -330,7 +331,7 @@ fn edit(json: &mut Value, pointer: &str, edits: &[Edit<'_>]) -> Result<()> {
             info.insert("texCoord".to_owned(), Value::from(*uv_set));
         }
         if let Some(extensions) = info.get_mut("extensions").and_then(Value::as_object_mut) {
-            extensions.shift_remove(transform::EXTENSION);
+            extensions.shift_remove(TEXTURE_TRANSFORM);
             if extensions.is_empty() {
                 info.shift_remove("extensions");
             }

@@ -8,6 +8,9 @@
 
 use glam::{DVec2, DVec3};
 
+/// A tangent with its handedness, as glTF has it.
+pub(crate) type Tangent = [f32; 4];
+
 /// The turn of a face from its uploaded to its new UVs: the best rigid fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Turn {

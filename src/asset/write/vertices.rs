@@ -5,8 +5,7 @@ use std::collections::HashMap;
 
 use glam::{DVec2, DVec3};
 
-use super::tangents::Tangent;
-use super::turn::Turn;
+use super::turn::{Tangent, Turn};
 use crate::asset::TextureSet;
 use crate::atlas::{Atlas, FaceId, VertexId};
 use crate::error::{Failure, Result};

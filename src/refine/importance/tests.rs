@@ -20,7 +20,8 @@ fn model(attribute: Option<[f32; 5]>) -> (Document, Vec<TextureSet>) {
     let ids = RawAccessor::from_indices(&[1, 2, 3, 4, 5]);
     primitive["attributes"]["_ID"] = Value::from(doc.append_accessor(&ids, Some(ARRAY_BUFFER), false));
     fixture::mesh(&mut doc, vec![primitive]);
-    let sets = asset::read(&doc, ReadOptions::default(), &Context::silent()).unwrap();
+    let sets = asset::read(&doc, &asset::MaterialIndex::new(&doc).unwrap(), ReadOptions::default(), &Context::silent())
+        .unwrap();
     (doc, sets)
 }
 

@@ -1,7 +1,7 @@
 //! The streams of EXT_meshopt_compression and KHR_meshopt_compression, after the bitstream appendix of the latter.
 //!
 //! Our own reader, because it is short, needs no C++ and cannot leave its slices: what a stream can become is bounded
-//! by its length ([`Layout::least_bytes`]) before anything is allocated.
+//! by its length ([`StreamLayout::least_bytes`]) before anything is allocated.
 
 mod attributes;
 mod filters;
@@ -37,7 +37,7 @@ pub(super) enum Filter {
 
 /// What the extension says of the elements of a buffer view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Layout {
+pub(super) struct StreamLayout {
     /// Bitstream.
     pub(super) mode: Mode,
     /// What follows.
@@ -53,13 +53,13 @@ pub(super) type Decoded<T> = Result<T, &'static str>;
 
 const ENDS_EARLY: &str = "ends early";
 
-impl Layout {
+impl StreamLayout {
     /// Whether mode, filter, stride and count go together.
     ///
     /// # Errors
     /// What does not.
     pub(super) fn check(&self) -> Result<(), impl Display + use<>> {
-        let Layout { mode, filter, count, stride } = *self;
+        let StreamLayout { mode, filter, count, stride } = *self;
         let strides_of_mode = match mode {
             Mode::Attributes => stride.is_multiple_of(4) && (4..=256).contains(&stride),
             Mode::Triangles | Mode::Indices => stride == 2 || stride == 4,
@@ -100,7 +100,7 @@ impl Layout {
 ///
 /// # Errors
 /// What is wrong with the stream.
-pub(super) fn decode(stream: &[u8], layout: &Layout) -> Decoded<Vec<u8>> {
+pub(super) fn decode(stream: &[u8], layout: &StreamLayout) -> Decoded<Vec<u8>> {
     if stream.len() < layout.least_bytes() {
         return Err("is too short for its count");
     }

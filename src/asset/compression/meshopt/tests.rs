@@ -1,6 +1,6 @@
 //! Against streams that meshoptimizer 1.3 wrote and read back, and against what a stream must not do.
 
-use super::{Decoded, Filter, Layout, Mode, decode};
+use super::{Decoded, Filter, Mode, StreamLayout, decode};
 
 type Known = (Mode, Filter, usize, usize, &'static str, &'static str);
 
@@ -28,14 +28,14 @@ fn bytes(hex: &str) -> Vec<u8> {
     hex::decode(hex).unwrap()
 }
 
-fn layout(mode: Mode, count: usize, stride: usize) -> Layout {
-    Layout { mode, filter: Filter::None, count, stride }
+fn layout(mode: Mode, count: usize, stride: usize) -> StreamLayout {
+    StreamLayout { mode, filter: Filter::None, count, stride }
 }
 
 #[test]
 fn known_streams_are_read() {
     for (mode, filter, count, stride, stream, expected) in KNOWN {
-        let layout = Layout { mode, filter, count, stride };
+        let layout = StreamLayout { mode, filter, count, stride };
         assert!(layout.check().is_ok());
         let (found, expected) = (decode(&bytes(stream), &layout).unwrap(), bytes(expected));
         // What filters round may differ by one unit; floats and unfiltered elements may not.
@@ -104,7 +104,7 @@ fn blocks_follow_each_other() {
     }
 }
 
-fn refused(stream: &[u8], layout: &Layout) -> &'static str {
+fn refused(stream: &[u8], layout: &StreamLayout) -> &'static str {
     let found: Decoded<Vec<u8>> = decode(stream, layout);
     found.expect_err("a broken stream is refused")
 }
@@ -113,7 +113,7 @@ fn refused(stream: &[u8], layout: &Layout) -> &'static str {
 fn every_truncation_and_every_excess_is_refused() {
     for (mode, filter, count, stride, stream, _) in KNOWN {
         let stream = bytes(stream);
-        let layout = Layout { mode, filter, count, stride };
+        let layout = StreamLayout { mode, filter, count, stride };
         for end in 0..stream.len() {
             refused(&stream[..end], &layout);
         }
@@ -159,7 +159,7 @@ fn counts_are_not_believed() {
 
 #[test]
 fn layouts_go_together() {
-    let with = |mode, filter, count, stride| Layout { mode, filter, count, stride }.check().is_ok();
+    let with = |mode, filter, count, stride| StreamLayout { mode, filter, count, stride }.check().is_ok();
     assert!(with(Mode::Attributes, Filter::None, 1, 256) && !with(Mode::Attributes, Filter::None, 1, 260));
     assert!(!with(Mode::Attributes, Filter::None, 1, 6) && !with(Mode::Attributes, Filter::None, 1, 0));
     assert!(with(Mode::Attributes, Filter::Octahedral, 1, 8) && !with(Mode::Attributes, Filter::Octahedral, 1, 12));

@@ -4,8 +4,8 @@ use glam::{DAffine2, DVec2, DVec3};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::asset::ReadOptions;
 use crate::asset::write::{BakedImage, read_back, write};
+use crate::asset::{MaterialIndex, ReadOptions};
 use crate::asset::{TextureSet, fixture, read, read_indices, read_vec4};
 use crate::atlas::testing::cut_open;
 use crate::atlas::{Charts, Move, Provenance, UvId};
@@ -38,14 +38,14 @@ fn strip(squares: usize) -> Document {
 }
 
 fn set_of(doc: &Document) -> TextureSet {
-    read(doc, ReadOptions::default(), &Context::silent()).unwrap().remove(0)
+    read(doc, &MaterialIndex::new(doc).unwrap(), ReadOptions::default(), &Context::silent()).unwrap().remove(0)
 }
 
 fn written(doc: &Document, set: &TextureSet, atlas: &Atlas) -> Document {
     let image =
         |slot: usize| BakedImage { slot, page: 0, format: Format::Png, bytes: fixture::png(2, 2), shared: None };
     let refined = [Refined { set, atlas, images: vec![image(0), image(1)] }];
-    let out = write(doc, &refined, &Context::silent()).unwrap();
+    let out = write(doc, &MaterialIndex::new(doc).unwrap(), &refined, &Context::silent()).unwrap();
     read_back(&out, &refined, 0, &Context::silent()).unwrap();
     out
 }

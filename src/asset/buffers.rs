@@ -1,43 +1,28 @@
-//! Everything that a glTF document refers to: checked, and gathered from the GLB, the upload and data URIs.
+//! Resolves the buffers and images of a glTF document, from the GLB, the upload and data URIs; checks all of it.
 
 use std::borrow::Cow;
 
 use serde_json::Value;
 
-use super::Document;
+use super::accessor_layout::{self, list, whole};
 use super::compression;
-use super::json::array;
-use super::limits::Limits;
-use super::merge::Merging;
+use super::document::{Document, Merging};
+use super::extensions;
+use super::limits::{Budget, Limits};
 use super::nodes;
-use super::structure::{self, list, whole};
-use super::upload::{Entry, Upload};
+use super::primitive::declared_triangles;
+use super::upload::{Upload, UploadEntry};
 use super::uri::{self, quote};
 use crate::error::{Code, Failure, Result, Warning};
 
-/// `extensionsRequired` that are understood, beside every KHR_materials_*.
-const HANDLED: [&str; 6] = [
-    "EXT_mesh_gpu_instancing",
-    "EXT_texture_webp",
-    "KHR_lights_punctual",
-    "KHR_mesh_quantization",
-    "KHR_texture_basisu",
-    "KHR_texture_transform",
-];
-
-/// Whether an extension is understood, so that nothing in it can refer to buffers unseen.
-pub(crate) fn is_handled(extension: &str) -> bool {
-    extension.starts_with("KHR_materials_") || HANDLED.contains(&extension)
-}
-
-/// Checks a document and gathers its buffers and images. `bin` is the GLB's binary chunk, `entry` the file that holds the document.
+/// Checks a document and resolves its buffers and images. `bin` is the GLB's binary chunk, `entry` the file that holds the document.
 ///
 /// # Errors
 /// As [`super::load`].
 pub(crate) fn resolve(
     json: Value,
     bin: Option<&[u8]>,
-    entry: &Entry<'_>,
+    entry: &UploadEntry<'_>,
     upload: &Upload<'_>,
     limits: &Limits,
     warnings: &mut Vec<Warning>,
@@ -45,13 +30,13 @@ pub(crate) fn resolve(
 ) -> Result<Document> {
     check_header(&json)?;
     nodes::check(&json)?;
-    let mut budget = Budget { left: limits.max_input_bytes.saturating_mul(2) };
+    let mut budget = Budget::new(limits);
     let buffers = buffers(&json, bin, &entry.path, upload, &mut budget, warnings)?;
     let name = uri::stem(&entry.path).to_owned();
     let mut document = Document { json, buffers, images: Vec::new(), name, merging: Merging::default() };
     let filtered = compression::views(&mut document, &mut budget, warnings, check)?;
     let lengths: Vec<usize> = document.buffers.iter().map(Vec::len).collect();
-    structure::check(&document.json, &lengths, limits.max_input_bytes, warnings)?;
+    accessor_layout::check(&document.json, &lengths, limits.max_input_bytes, warnings)?;
     check_triangles(&document.json, limits)?;
     compression::renew_bounds(&mut document, &filtered)?;
     compression::primitives(&mut document, limits, &mut budget, warnings, check)?;
@@ -80,7 +65,7 @@ fn check_header(json: &Value) -> Result<()> {
     }
     for (index, name) in list(json, "extensionsRequired")?.iter().enumerate() {
         let name = name.as_str().unwrap_or_default();
-        if !is_handled(name) && !compression::is_decoded(name) {
+        if !extensions::is_read(name) {
             let message = format!("the model requires the extension {}, which is not supported", quote(name));
             return Err(Failure::new(Code::UnsupportedExtension, message).at(format!("/extensionsRequired/{index}")));
         }
@@ -113,29 +98,6 @@ fn major(version: &str) -> Option<u32> {
     major.parse().ok()
 }
 
-/// How many bytes buffers and images may still take: a file named a thousand times counts a thousand times.
-pub(crate) struct Budget {
-    left: u64,
-}
-
-impl Budget {
-    /// Takes note of bytes before they are allocated.
-    ///
-    /// # Errors
-    /// `too_large` at `pointer` when they are too many.
-    pub(crate) fn charge(&mut self, bytes: usize, pointer: &str) -> Result<()> {
-        self.left = self.left.checked_sub(bytes as u64).ok_or_else(|| {
-            Failure::new(Code::TooLarge, "the buffers and images together exceed the limit on the input").at(pointer)
-        })?;
-        Ok(())
-    }
-
-    fn take(&mut self, bytes: &[u8], pointer: &str) -> Result<Vec<u8>> {
-        self.charge(bytes.len(), pointer)?;
-        Ok(bytes.to_vec())
-    }
-}
-
 fn buffers(
     json: &Value,
     bin: Option<&[u8]>,
@@ -148,7 +110,7 @@ fn buffers(
     let mut buffers = Vec::new();
     let mut bin_used = false;
     for index in 0..list(json, "buffers")?.len() {
-        let object = structure::element(json, "buffers", index)?;
+        let object = accessor_layout::element(json, "buffers", index)?;
         let pointer = format!("/buffers/{index}");
         let at_uri = format!("{pointer}/uri");
         let length = whole(object, "byteLength", &pointer)?
@@ -202,7 +164,7 @@ fn images(
 ) -> Result<Vec<Option<Vec<u8>>>> {
     let mut images = Vec::new();
     for index in 0..list(&document.json, "images")?.len() {
-        let object = structure::element(&document.json, "images", index)?;
+        let object = accessor_layout::element(&document.json, "images", index)?;
         let pointer = format!("/images/{index}");
         let mut missing = |code: &str, why: String| {
             warnings.push(Warning::new(code, why).at(pointer.clone()));
@@ -241,29 +203,11 @@ fn images(
 fn check_triangles(json: &Value, limits: &Limits) -> Result<()> {
     let mut total: u64 = 0;
     for (mesh, object) in list(json, "meshes")?.iter().enumerate() {
-        total = total.saturating_add(triangles(json, object));
+        total = total.saturating_add(declared_triangles(json, object));
         if total > limits.max_triangles {
             let message = format!("the model has more than {} triangles", limits.max_triangles);
             return Err(Failure::new(Code::TooLarge, message).at(format!("/meshes/{mesh}")));
         }
     }
     Ok(())
-}
-
-/// The triangles that the primitives of a mesh declare.
-pub(crate) fn triangles(json: &Value, mesh: &Value) -> u64 {
-    let count = |accessor: &Value| {
-        let index = usize::try_from(accessor.as_u64()?).ok()?;
-        json.get("accessors")?.get(index)?.get("count")?.as_u64()
-    };
-    let primitives = array(mesh, "primitives").iter().map(|primitive| {
-        let position = || primitive.get("attributes")?.get("POSITION");
-        let corners = primitive.get("indices").or_else(position).and_then(count).unwrap_or(0);
-        match primitive.get("mode").map_or(Some(4), Value::as_u64) {
-            Some(4) => corners / 3,
-            Some(5 | 6) => corners.saturating_sub(2),
-            _ => 0,
-        }
-    });
-    primitives.fold(0, u64::saturating_add)
 }

@@ -1,4 +1,4 @@
-//! Charts come home: from other tiles of a repeated texture into the first.
+//! UV tiles: charts in other tiles of a repeated texture are normalised to the first.
 
 use glam::DVec2;
 
@@ -19,26 +19,30 @@ const LEAST_AREA: f64 = 1.0;
 const SLACK: f64 = 1.0;
 /// Stands for several charts.
 const SHARED: u32 = u32::MAX - 1;
-/// A set without images, whose UVs may be in any unit, may cover this many of its virtual sheets.
+/// A layout without images, whose UVs may be in any unit, keeps its scale up to this many of its virtual sheets.
 const MOST_VIRTUAL_SHEETS: f64 = 64.0;
 
 /// Moves charts by whole tiles into the first, where every slot repeats on that axis. `constant` says that the images are of
-/// one colour each, so that UVs without area read them well.
+/// one colour each, so that UVs without area read them well. A layout without images has no tiles, and any unit: one that is
+/// far larger or smaller than its virtual sheet is scaled to it.
 ///
 /// # Errors
 /// The warning with which the set passes through: a palette, or a chart that repeats its texture and may or can
 /// not be baked out.
-pub(crate) fn bring_home(
+pub(crate) fn normalise_tiles(
     atlas: &mut Atlas,
     slots: &[Slot],
     sheet: [u32; 2],
     tiling: Tiling,
     constant: bool,
 ) -> Result<(), Warning> {
-    let area: f64 = atlas.faces().map(|f| atlas.uv_area(f).abs()).sum();
-    if area < LEAST_AREA && !constant {
+    let area = || -> f64 { atlas.faces().map(|f| atlas.uv_area(f).abs()).sum() };
+    let no_area = || {
         let text = "the texture set is left as it is: its UVs have no area, so that it reads single texels";
-        return Err(Warning::new("palette_texture", text));
+        Warning::new("palette_texture", text)
+    };
+    if area() < LEAST_AREA && !constant && !slots.is_empty() {
+        return Err(no_area());
     }
     if !atlas.uv.iter().all(|p| p.is_finite()) {
         let text = "the texture set is left as it is: its texture transform throws UVs beyond all measure";
@@ -47,8 +51,15 @@ pub(crate) fn bring_home(
     let size = DVec2::new(f64::from(sheet[0]), f64::from(sheet[1]));
     let charts = Charts::new(&Topology::new(atlas));
     let boxes: Vec<(DVec2, DVec2)> = charts.ids().map(|c| bounds(atlas, &charts.faces[c.index()])).collect();
+    if slots.is_empty() {
+        let scale = virtual_scale(&boxes, area(), size).ok_or_else(no_area)?;
+        if scale != 1.0 {
+            atlas.uv.iter_mut().for_each(|uv| *uv *= scale);
+        }
+        return Ok(());
+    }
     let wraps = chart_wraps(atlas, &charts, slots);
-    check_tiling(&boxes, &wraps, slots.is_empty(), size, tiling)?;
+    check_tiling(&boxes, &wraps, size, tiling)?;
     // By UV vertex: the chart that it belongs to, and its copy for the chart that is being moved.
     let mut owner = vec![u32::MAX; atlas.uv.len()];
     let mut copy = vec![(u32::MAX, UvId(0)); atlas.uv.len()];
@@ -62,9 +73,9 @@ pub(crate) fn bring_home(
     for axis in 0..2 {
         // Two tiles where an odd one is mirrored.
         for (wrap, tile) in [(Wrap::Repeat, size[axis]), (Wrap::MirroredRepeat, 2.0 * size[axis])] {
-            let own: Vec<usize> = (0..charts.len()).filter(|&c| wraps[c][axis] == Reach::All(wrap)).collect();
+            let own: Vec<usize> = (0..charts.len()).filter(|&c| wraps[c][axis] == WrapUse::All(wrap)).collect();
             let middles: Vec<f64> = own.iter().map(|&c| 0.5 * (boxes[c].0[axis] + boxes[c].1[axis])).collect();
-            for (&chart, tiles) in own.iter().zip(tiles_from_home(&middles, tile)) {
+            for (&chart, tiles) in own.iter().zip(tile_offsets(&middles, tile)) {
                 shifts[chart][axis] = -tiles * tile;
             }
         }
@@ -103,7 +114,7 @@ pub(crate) fn leaves_tile(mut uvs: impl Iterator<Item = DVec2>, sheet: [u32; 2])
 /// How many tiles each chart is away, told by its middle: one that lies across a border by a little stays with those
 /// that it shares texels with. Charts whose middles span less than a tile have no copies in other tiles, and move
 /// together or not at all.
-fn tiles_from_home(middles: &[f64], tile: f64) -> Vec<f64> {
+fn tile_offsets(middles: &[f64], tile: f64) -> Vec<f64> {
     let (low, high) = middles.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
     if high - low < tile - SLACK {
         return vec![(0.5 * (low + high) / tile).floor(); middles.len()];
@@ -114,7 +125,7 @@ fn tiles_from_home(middles: &[f64], tile: f64) -> Vec<f64> {
 
 /// How the images of a chart are read beyond their edges, on one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Reach {
+enum WrapUse {
     /// No image is read.
     Nothing,
     /// All in the same way.
@@ -123,34 +134,34 @@ enum Reach {
     Mixed,
 }
 
-impl Reach {
-    fn and(self, other: Reach) -> Reach {
+impl WrapUse {
+    fn and(self, other: WrapUse) -> WrapUse {
         match (self, other) {
-            (Reach::Nothing, reach) | (reach, Reach::Nothing) => reach,
+            (WrapUse::Nothing, other) | (other, WrapUse::Nothing) => other,
             (a, b) if a == b => a,
-            _ => Reach::Mixed,
+            _ => WrapUse::Mixed,
         }
     }
 }
 
 /// The wrap modes (S, T) of every chart, over all slots and primitives.
-fn chart_wraps(atlas: &Atlas, charts: &Charts, slots: &[Slot]) -> Vec<[Reach; 2]> {
-    let both = |a: [Reach; 2], b: [Reach; 2]| [a[0].and(b[0]), a[1].and(b[1])];
-    let mut by_primitive: Vec<[Reach; 2]> = Vec::new();
+fn chart_wraps(atlas: &Atlas, charts: &Charts, slots: &[Slot]) -> Vec<[WrapUse; 2]> {
+    let both = |a: [WrapUse; 2], b: [WrapUse; 2]| [a[0].and(b[0]), a[1].and(b[1])];
+    let mut by_primitive: Vec<[WrapUse; 2]> = Vec::new();
     for reading in slots.iter().flat_map(|s| &s.readings) {
         for &p in &reading.primitives {
             if by_primitive.len() <= p as usize {
-                by_primitive.resize(p as usize + 1, [Reach::Nothing; 2]);
+                by_primitive.resize(p as usize + 1, [WrapUse::Nothing; 2]);
             }
-            let reach = &mut by_primitive[p as usize];
-            *reach = both(*reach, reading.wrap.map(Reach::All));
+            let known = &mut by_primitive[p as usize];
+            *known = both(*known, reading.wrap.map(WrapUse::All));
         }
     }
     let of_face = |f: &FaceId| {
         let primitive = atlas.provenance.get(f.index()).map_or(0, |p| p.primitive as usize);
-        by_primitive.get(primitive).copied().unwrap_or([Reach::Nothing; 2])
+        by_primitive.get(primitive).copied().unwrap_or([WrapUse::Nothing; 2])
     };
-    charts.faces.iter().map(|faces| faces.iter().map(of_face).fold([Reach::Nothing; 2], both)).collect()
+    charts.faces.iter().map(|faces| faces.iter().map(of_face).fold([WrapUse::Nothing; 2], both)).collect()
 }
 
 fn bounds(atlas: &Atlas, faces: &[FaceId]) -> (DVec2, DVec2) {
@@ -158,17 +169,24 @@ fn bounds(atlas: &Atlas, faces: &[FaceId]) -> (DVec2, DVec2) {
     faces.iter().flat_map(|f| atlas.uv_triangle(*f)).fold(start, |(low, high), p| (low.min(p), high.max(p)))
 }
 
-fn check_tiling(
-    boxes: &[(DVec2, DVec2)],
-    wraps: &[[Reach; 2]],
-    is_virtual: bool,
-    size: DVec2,
-    tiling: Tiling,
-) -> Result<(), Warning> {
+/// What a layout without images is scaled by; none where it has no area in any unit. `area` is that of its triangles.
+fn virtual_scale(boxes: &[(DVec2, DVec2)], area: f64, size: DVec2) -> Option<f64> {
+    let sum: f64 = boxes.iter().map(|(low, high)| (*high - *low).element_product()).sum();
+    let sheets = sum / size.element_product();
+    let larger = boxes.iter().any(|(low, high)| (*high - *low - size).max_element() > SLACK);
+    if area >= LEAST_AREA && (!larger || sheets <= MOST_VIRTUAL_SHEETS) {
+        return Some(1.0);
+    }
+    // A power of two, so that coordinates keep their digits.
+    let scale = sheets.sqrt().recip().log2().floor().exp2();
+    (scale.is_finite() && area * scale * scale >= LEAST_AREA).then_some(scale)
+}
+
+fn check_tiling(boxes: &[(DVec2, DVec2)], wraps: &[[WrapUse; 2]], size: DVec2, tiling: Tiling) -> Result<(), Warning> {
     let larger = |axis: usize| boxes.iter().any(|(low, high)| high[axis] - low[axis] > size[axis] + SLACK);
-    let repeats = |(bounds, wrap): (&(DVec2, DVec2), &[Reach; 2])| {
+    let repeats = |(bounds, wrap): (&(DVec2, DVec2), &[WrapUse; 2])| {
         let (low, high) = bounds;
-        let free = |axis: usize| matches!(wrap[axis], Reach::Nothing | Reach::All(Wrap::ClampToEdge));
+        let free = |axis: usize| matches!(wrap[axis], WrapUse::Nothing | WrapUse::All(Wrap::ClampToEdge));
         (0..2).any(|axis| !free(axis) && high[axis] - low[axis] > size[axis] + SLACK)
     };
     if tiling == Tiling::Leave && boxes.iter().zip(wraps).any(repeats) {
@@ -177,13 +195,12 @@ fn check_tiling(
     }
     let sum: f64 = boxes.iter().map(|(low, high)| (*high - *low).element_product()).sum();
     let sheets = sum / size.element_product();
-    let most = if is_virtual { MOST_VIRTUAL_SHEETS } else { MOST_SHEETS };
-    // Not a number where coordinates are beyond all measure.
     // Small textures may be repeated more often.
-    let many = sheets > most && (is_virtual || sum > MOST_TEXELS);
+    let many = sheets > MOST_SHEETS && sum > MOST_TEXELS;
+    // Not a number where coordinates are beyond all measure.
     if (larger(0) || larger(1)) && (many || sheets.is_nan()) {
         let text = format!(
-            "the texture set is left as it is: its charts spread over {sheets:.1} sheets, and at most {most} are made, or \
+            "the texture set is left as it is: its charts spread over {sheets:.1} sheets, and at most {MOST_SHEETS} are made, or \
              {MOST_TEXELS} texels"
         );
         return Err(Warning::new("tiling_too_large", text));
@@ -219,19 +236,19 @@ mod tests {
         let mut atlas = triangles(places);
         let readings = vec![crate::texture::Reading { wrap, primitives: vec![0] }];
         let slots = [crate::texture::Slot { readings, ..slot(0, SHEET) }];
-        bring_home(&mut atlas, &slots, SHEET, tiling, false).map_err(|w| w.code)?;
+        normalise_tiles(&mut atlas, &slots, SHEET, tiling, false).map_err(|w| w.code)?;
         Ok(atlas.uv.chunks(3).map(|c| (c[0].x, c[0].y)).collect())
     }
 
     #[test]
     fn each_axis_follows_its_own_wrap_mode() {
         let places = [(10.0, 10.0, 20.0), (310.0, -140.0, 20.0)];
-        let home = |wrap| moved(&places, wrap, Tiling::Bake).unwrap()[1];
-        assert_eq!(home([Wrap::Repeat, Wrap::Repeat]), (10.0, 10.0));
-        assert_eq!(home([Wrap::Repeat, Wrap::ClampToEdge]), (10.0, -140.0));
+        let normalised = |wrap| moved(&places, wrap, Tiling::Bake).unwrap()[1];
+        assert_eq!(normalised([Wrap::Repeat, Wrap::Repeat]), (10.0, 10.0));
+        assert_eq!(normalised([Wrap::Repeat, Wrap::ClampToEdge]), (10.0, -140.0));
         // Three tiles to the left is two and one that is mirrored; -3 tiles is -4 and the second of a pair.
-        assert_eq!(home([Wrap::MirroredRepeat, Wrap::MirroredRepeat]), (110.0, 60.0));
-        assert_eq!(home([Wrap::ClampToEdge, Wrap::ClampToEdge]), (310.0, -140.0));
+        assert_eq!(normalised([Wrap::MirroredRepeat, Wrap::MirroredRepeat]), (110.0, 60.0));
+        assert_eq!(normalised([Wrap::ClampToEdge, Wrap::ClampToEdge]), (310.0, -140.0));
     }
 
     #[test]
@@ -250,9 +267,24 @@ mod tests {
         atlas.corners[1][0] = atlas.corners[0][1];
         atlas.surface.triangles[1][0] = atlas.surface.triangles[0][1];
         let before = [0, 1].map(|f| atlas.uv_area(FaceId(f)));
-        bring_home(&mut atlas, &[slot(0, SHEET)], SHEET, Tiling::Bake, false).unwrap();
+        normalise_tiles(&mut atlas, &[slot(0, SHEET)], SHEET, Tiling::Bake, false).unwrap();
         assert_eq!([0, 1].map(|f| atlas.uv_area(FaceId(f))), before);
         assert_eq!(atlas.uv_triangle(FaceId(1))[0], DVec2::new(10.0, 5.0));
+    }
+
+    #[test]
+    fn a_layout_without_images_has_any_unit() {
+        let scaled = |places: &[(f64, f64, f64)]| {
+            let mut atlas = triangles(places);
+            normalise_tiles(&mut atlas, &[], SHEET, Tiling::Leave, false).map_err(|w| w.code)?;
+            Ok::<f64, String>(atlas.uv[1].x - atlas.uv[0].x)
+        };
+        assert_eq!(scaled(&[(310.0, -140.0, 20.0)]), Ok(20.0), "within reason it stays");
+        assert_eq!(scaled(&[(0.0, 0.0, 400.0)]), Ok(400.0));
+        assert_eq!(scaled(&[(5e6, 0.0, 3000.0), (9e6, 0.0, 4000.0)]), Ok(3000.0 / 128.0), "millimetres");
+        assert_eq!(scaled(&[(0.0, 0.0, 0.01)]), Ok(0.01 * 4096.0), "kilometres");
+        assert_eq!(scaled(&[(0.0, 0.0, 1e30)]).map(|side| (10.0..100.0).contains(&side)), Ok(true));
+        assert_eq!(scaled(&[(3.0, 3.0, 0.0)]), Err("palette_texture".to_owned()));
     }
 
     #[test]

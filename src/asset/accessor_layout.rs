@@ -1,4 +1,4 @@
-//! Where the bytes of buffer views and accessors lie, checked against what is there.
+//! The layout of buffer views and accessors in memory, checked against the buffers.
 
 use serde_json::{Map, Value};
 
@@ -11,7 +11,7 @@ const MAX_ACCESSOR_BYTES: u64 = 4 << 30;
 
 /// A buffer view: a byte range of a buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct View {
+pub(crate) struct ViewLayout {
     /// Index into `/buffers`.
     pub(crate) buffer: usize,
     /// First byte.
@@ -24,7 +24,7 @@ pub(crate) struct View {
 
 /// An accessor: how the elements lie in a buffer view.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Accessor {
+pub(crate) struct AccessorLayout {
     /// Type of a component.
     pub(crate) component: ComponentType,
     /// Shape of an element.
@@ -38,23 +38,23 @@ pub(crate) struct Accessor {
     /// First byte in the view.
     pub(crate) offset: usize,
     /// Elements that differ.
-    pub(crate) sparse: Option<Sparse>,
+    pub(crate) sparse: Option<SparseLayout>,
 }
 
 /// The sparse part of an accessor.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Sparse {
+pub(crate) struct SparseLayout {
     /// Number of elements that differ.
     pub(crate) count: usize,
     /// Type of the indices: unsigned.
     pub(crate) component: ComponentType,
-    /// View and first byte of the indices.
+    /// ViewLayout and first byte of the indices.
     pub(crate) indices: (usize, usize),
-    /// View and first byte of the values.
+    /// ViewLayout and first byte of the values.
     pub(crate) values: (usize, usize),
 }
 
-impl Accessor {
+impl AccessorLayout {
     /// Bytes of one element.
     pub(crate) fn element_size(&self) -> usize {
         self.kind.element_size(self.component)
@@ -113,10 +113,10 @@ pub(crate) fn needed(object: &Map<String, Value>, key: &str, pointer: &str) -> R
 ///
 /// # Errors
 /// `invalid_model` with a pointer when a field is missing or of the wrong type.
-pub(crate) fn view(json: &Value, index: usize) -> Result<View> {
+pub(crate) fn view(json: &Value, index: usize) -> Result<ViewLayout> {
     let object = element(json, "bufferViews", index)?;
     let pointer = format!("/bufferViews/{index}");
-    Ok(View {
+    Ok(ViewLayout {
         buffer: needed(object, "buffer", &pointer)?,
         offset: whole(object, "byteOffset", &pointer)?.unwrap_or(0),
         length: needed(object, "byteLength", &pointer)?,
@@ -129,7 +129,7 @@ pub(crate) fn view(json: &Value, index: usize) -> Result<View> {
 ///
 /// # Errors
 /// `invalid_model` with a pointer when a field is missing or of the wrong type; `too_large` when it declares absurdly many elements.
-pub(crate) fn accessor(json: &Value, index: usize) -> Result<Accessor> {
+pub(crate) fn accessor(json: &Value, index: usize) -> Result<AccessorLayout> {
     let object = element(json, "accessors", index)?;
     let pointer = format!("/accessors/{index}");
     let component = component(object, &pointer)?;
@@ -148,7 +148,7 @@ pub(crate) fn accessor(json: &Value, index: usize) -> Result<Accessor> {
         None => None,
         Some(found) => Some(sparse(found, count, &format!("{pointer}/sparse"))?),
     };
-    Ok(Accessor {
+    Ok(AccessorLayout {
         component,
         kind,
         normalized: object.get("normalized").and_then(Value::as_bool).unwrap_or(false),
@@ -159,7 +159,7 @@ pub(crate) fn accessor(json: &Value, index: usize) -> Result<Accessor> {
     })
 }
 
-fn sparse(found: &Value, count: usize, pointer: &str) -> Result<Sparse> {
+fn sparse(found: &Value, count: usize, pointer: &str) -> Result<SparseLayout> {
     let part = |value: Option<&'_ Value>, name: &str| -> Result<(Map<String, Value>, String)> {
         let pointer = format!("{pointer}/{name}");
         let object = value.and_then(Value::as_object).cloned();
@@ -181,7 +181,12 @@ fn sparse(found: &Value, count: usize, pointer: &str) -> Result<Sparse> {
         let message = "sparse indices are unsigned integers: componentType 5121, 5123 or 5125";
         return Err(Failure::model(message).at(format!("{at_indices}/componentType")));
     }
-    Ok(Sparse { count: own, component, indices: place(&indices, &at_indices)?, values: place(&values, &at_values)? })
+    Ok(SparseLayout {
+        count: own,
+        component,
+        indices: place(&indices, &at_indices)?,
+        values: place(&values, &at_values)?,
+    })
 }
 
 fn component(object: &Map<String, Value>, pointer: &str) -> Result<ComponentType> {
@@ -196,7 +201,7 @@ fn component(object: &Map<String, Value>, pointer: &str) -> Result<ComponentType
 ///
 /// # Errors
 /// `invalid_model` when the elements overlap or leave the view.
-pub(crate) fn extent(accessor: &Accessor, view: &View, index: usize) -> Result<usize> {
+pub(crate) fn extent(accessor: &AccessorLayout, view: &ViewLayout, index: usize) -> Result<usize> {
     let size = accessor.element_size();
     let stride = view.stride.unwrap_or(size);
     let pointer = || format!("/accessors/{index}");

@@ -1,19 +1,20 @@
-//! What the document says of materials, textures and primitives, before anything is decided.
+//! The index of a document: its materials, textures and primitives with what they refer to, before anything is decided.
 
 use std::collections::BTreeSet;
 
 use serde_json::Value;
 
-use super::Document;
+use super::document::Document;
+use super::extensions::{self, ANIMATION_POINTER, ANISOTROPY, TEXTURE_TRANSFORM, VARIANTS, is_image_source};
 use super::json::{array, checked, index, object};
-use super::resolve::is_handled;
-use super::transform::{Layout, Transform};
+use super::primitive::primitive_pointer;
+use super::transform::{TextureTransform, UvLayout};
 use crate::error::{Code, Failure, Result};
 use crate::texture::{Alpha, Role, Wrap};
 
-/// The document as texture sets see it.
+/// Materials, textures and primitives of a document, by index.
 #[derive(Debug)]
-pub(crate) struct Scan {
+pub struct MaterialIndex {
     /// By material index.
     pub(crate) materials: Vec<Material>,
     /// By texture index.
@@ -24,7 +25,7 @@ pub(crate) struct Scan {
     pub(crate) named_images: BTreeSet<usize>,
     /// Textures that something outside the materials names.
     pub(crate) named_textures: BTreeSet<usize>,
-    /// Whether `extensionsUsed` holds only what is handled.
+    /// Whether every extension, declared or not, is understood.
     pub(crate) understood: bool,
 }
 
@@ -40,7 +41,7 @@ pub(crate) struct Material {
     /// Whether an animation moves one of its texture transforms.
     pub(crate) animated: bool,
     /// Whether its highlights follow the tangents by themselves, without a texture (KHR_materials_anisotropy).
-    pub(crate) brushed: bool,
+    pub(crate) untextured_anisotropy: bool,
 }
 
 /// One texture read by a material.
@@ -51,13 +52,10 @@ pub(crate) struct TextureUse {
     /// Index into `/textures`.
     pub(crate) texture: usize,
     /// The TEXCOORD set that it reads, and its texture transform.
-    pub(crate) layout: Layout,
+    pub(crate) layout: UvLayout,
     /// What it means; none in an extension that is not known.
     pub(crate) role: Option<Role>,
 }
-
-/// Extensions that give a texture its image; the core `source`, if any, stands in where they are not understood.
-pub(crate) const SOURCES: [&str; 2] = ["KHR_texture_basisu", "EXT_texture_webp"];
 
 /// A texture: image and sampler.
 #[derive(Debug, Clone, Default)]
@@ -104,77 +102,95 @@ impl Primitive {
     }
 }
 
-/// JSON pointer of a primitive.
-pub(crate) fn primitive_pointer(mesh: usize, primitive: usize) -> String {
-    format!("/meshes/{mesh}/primitives/{primitive}")
-}
-
 /// Textures that one material may read: every primitive looks at those of its materials.
 const MOST_TEXTURES: usize = 256;
 
-/// Where a material names its textures, below the material.
-const SLOTS: [(&str, Role); 21] = [
+/// Where a material names its textures by itself; the table of extensions has the others.
+const CORE_TEXTURES: [(&str, Role); 5] = [
     ("/pbrMetallicRoughness/baseColorTexture", Role::BaseColor),
     ("/pbrMetallicRoughness/metallicRoughnessTexture", Role::MetallicRoughness),
     ("/normalTexture", Role::Normal),
     ("/occlusionTexture", Role::Occlusion),
     ("/emissiveTexture", Role::Emissive),
-    ("/extensions/KHR_materials_clearcoat/clearcoatTexture", Role::Clearcoat),
-    ("/extensions/KHR_materials_clearcoat/clearcoatRoughnessTexture", Role::ClearcoatRoughness),
-    ("/extensions/KHR_materials_clearcoat/clearcoatNormalTexture", Role::ClearcoatNormal),
-    ("/extensions/KHR_materials_sheen/sheenColorTexture", Role::SheenColor),
-    ("/extensions/KHR_materials_sheen/sheenRoughnessTexture", Role::SheenRoughness),
-    ("/extensions/KHR_materials_specular/specularTexture", Role::Specular),
-    ("/extensions/KHR_materials_specular/specularColorTexture", Role::SpecularColor),
-    ("/extensions/KHR_materials_transmission/transmissionTexture", Role::Transmission),
-    ("/extensions/KHR_materials_volume/thicknessTexture", Role::Thickness),
-    ("/extensions/KHR_materials_iridescence/iridescenceTexture", Role::Iridescence),
-    ("/extensions/KHR_materials_iridescence/iridescenceThicknessTexture", Role::IridescenceThickness),
-    ("/extensions/KHR_materials_anisotropy/anisotropyTexture", Role::Anisotropy),
-    ("/extensions/KHR_materials_diffuse_transmission/diffuseTransmissionTexture", Role::DiffuseTransmission),
-    ("/extensions/KHR_materials_diffuse_transmission/diffuseTransmissionColorTexture", Role::DiffuseTransmissionColor),
-    ("/extensions/KHR_materials_pbrSpecularGlossiness/diffuseTexture", Role::Diffuse),
-    ("/extensions/KHR_materials_pbrSpecularGlossiness/specularGlossinessTexture", Role::SpecularGlossiness),
 ];
 
-/// Reads materials, textures and primitives.
-///
-/// # Errors
-/// `invalid_model` with the pointer of an index that is out of range or a value of the wrong kind.
-pub(crate) fn scan(doc: &Document) -> Result<Scan> {
-    let json = &doc.json;
-    let textures = array(json, "textures").iter().enumerate();
-    let textures = textures.map(|(i, t)| texture(json, i, t)).collect::<Result<Vec<_>>>()?;
-    let animated = animated_transforms(json);
-    let mut materials = Vec::new();
-    for (i, value) in array(json, "materials").iter().enumerate() {
-        let mut material = material(value, textures.len(), i)?;
-        material.animated = animated.contains(&i);
-        materials.push(material);
+impl MaterialIndex {
+    /// Reads materials, textures and primitives.
+    ///
+    /// # Errors
+    /// `invalid_model` with the pointer of an index that is out of range or a value of the wrong kind.
+    pub fn new(doc: &Document) -> Result<MaterialIndex> {
+        let json = &doc.json;
+        let textures = array(json, "textures").iter().enumerate();
+        let textures = textures.map(|(i, t)| texture(json, i, t)).collect::<Result<Vec<_>>>()?;
+        let animated = animated_transforms(json);
+        let mut materials = Vec::new();
+        for (i, value) in array(json, "materials").iter().enumerate() {
+            let mut material = material(value, textures.len(), i)?;
+            material.animated = animated.contains(&i);
+            materials.push(material);
+        }
+        let primitives = primitives(json)?;
+        let mut named = (BTreeSet::new(), BTreeSet::new());
+        for (key, value) in json.as_object().into_iter().flatten() {
+            if key != "materials" && key != "textures" {
+                named_by_extensions(value, &mut named);
+            }
+        }
+        for texture in array(json, "textures") {
+            let own = object(texture, "extensions").into_iter().flatten();
+            for (_, value) in own.filter(|(name, _)| !is_image_source(name)) {
+                collect_names(value, &mut named);
+            }
+        }
+        if let Some(extensions) = json.get("extensions") {
+            collect_names(extensions, &mut named);
+        }
+        let understood = extensions::all_understood(json);
+        Ok(MaterialIndex {
+            materials,
+            textures,
+            primitives,
+            named_images: named.0,
+            named_textures: named.1,
+            understood,
+        })
     }
+
+    /// Follows an edit that appended textures and changed some materials.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(crate) fn follow_materials(&mut self, json: &Value, changed: &[usize]) -> Result<()> {
+        for (i, value) in array(json, "textures").iter().enumerate().skip(self.textures.len()) {
+            self.textures.push(texture(json, i, value)?);
+        }
+        for &m in changed {
+            if let (Some(own), Some(value)) = (self.materials.get_mut(m), array(json, "materials").get(m)) {
+                *own = Material { animated: own.animated, ..material(value, self.textures.len(), m)? };
+            }
+        }
+        Ok(())
+    }
+
+    /// Follows an edit that put primitives together.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(crate) fn follow_primitives(&mut self, json: &Value) -> Result<()> {
+        self.primitives = primitives(json)?;
+        Ok(())
+    }
+}
+
+fn primitives(json: &Value) -> Result<Vec<Primitive>> {
     let mut primitives = Vec::new();
     for (m, mesh) in array(json, "meshes").iter().enumerate() {
         for (p, value) in array(mesh, "primitives").iter().enumerate() {
             primitives.push(primitive(json, value, m, p)?);
         }
     }
-    let mut named = (BTreeSet::new(), BTreeSet::new());
-    for (key, value) in json.as_object().into_iter().flatten() {
-        if key != "materials" && key != "textures" {
-            named_by_extensions(value, &mut named);
-        }
-    }
-    for texture in array(json, "textures") {
-        let extensions = object(texture, "extensions").into_iter().flatten();
-        for (_, value) in extensions.filter(|(name, _)| !SOURCES.contains(&name.as_str())) {
-            collect_names(value, &mut named);
-        }
-    }
-    if let Some(extensions) = json.get("extensions") {
-        collect_names(extensions, &mut named);
-    }
-    let understood = array(json, "extensionsUsed").iter().all(|e| e.as_str().is_some_and(is_handled));
-    Ok(Scan { materials, textures, primitives, named_images: named.0, named_textures: named.1, understood })
+    Ok(primitives)
 }
 
 fn texture(json: &Value, i: usize, value: &Value) -> Result<Texture> {
@@ -182,9 +198,9 @@ fn texture(json: &Value, i: usize, value: &Value) -> Result<Texture> {
     let images = array(json, "images").len();
     let mut image = index(value, "source", images, &pointer)?;
     let mut fallback = None;
-    let extensions = object(value, "extensions");
-    for name in SOURCES {
-        if let Some(extension) = extensions.and_then(|e| e.get(name)) {
+    let own = object(value, "extensions");
+    for name in extensions::all().filter(|e| e.image_source).map(|e| e.name) {
+        if let Some(extension) = own.and_then(|e| e.get(name)) {
             let given = index(extension, "source", images, &format!("{pointer}/extensions/{name}"))?;
             if given.is_some() {
                 fallback = fallback.or(image);
@@ -208,27 +224,36 @@ fn texture(json: &Value, i: usize, value: &Value) -> Result<Texture> {
         wrap: [wrap("wrapS"), wrap("wrapT")],
         mipmaps: !matches!(number("minFilter"), Some(9728 | 9729)),
         fallback,
-        extended: extensions.is_some_and(|e| e.keys().any(|k| !SOURCES.contains(&k.as_str()))),
+        extended: own.is_some_and(|e| !e.keys().all(|name| is_image_source(name))),
     })
 }
 
 fn material(value: &Value, textures: usize, i: usize) -> Result<Material> {
     let pointer = format!("/materials/{i}");
     let mut uses = Vec::new();
-    for (path, role) in SLOTS {
+    for (path, role) in CORE_TEXTURES {
         if let Some(info) = value.pointer(path) {
             uses.push(texture_use(info, path.to_owned(), Some(role), textures, &pointer)?);
         }
     }
-    if let Some(extensions) = value.get("extensions") {
-        extension_uses(extensions, "/extensions", textures, &pointer, &mut uses)?;
+    if let Some(own) = value.get("extensions") {
+        for extension in extensions::all() {
+            let Some(object) = own.get(extension.name) else { continue };
+            for (key, role) in extension.textures {
+                if let Some(info) = object.get(key) {
+                    let path = format!("/extensions/{}/{key}", extension.name);
+                    uses.push(texture_use(info, path, Some(*role), textures, &pointer)?);
+                }
+            }
+        }
+        unknown_uses(own, "/extensions", textures, &pointer, &mut uses)?;
     }
     if uses.len() > MOST_TEXTURES {
         let text = format!("the material reads {} textures, more than {MOST_TEXTURES}", uses.len());
         return Err(Failure::new(Code::TooLarge, text).at(pointer));
     }
-    let anisotropy = value.pointer("/extensions/KHR_materials_anisotropy");
-    let brushed = anisotropy.is_some_and(|a| {
+    let anisotropy = value.get("extensions").and_then(|e| e.get(ANISOTROPY));
+    let untextured_anisotropy = anisotropy.is_some_and(|a| {
         let strength = a.get("anisotropyStrength").and_then(Value::as_f64).unwrap_or(0.0);
         strength != 0.0 && a.get("anisotropyTexture").is_none()
     });
@@ -238,7 +263,7 @@ fn material(value: &Value, textures: usize, i: usize) -> Result<Material> {
         _ => Alpha::Opaque,
     };
     let name = value.get("name").and_then(Value::as_str).filter(|n| !n.is_empty()).map(str::to_owned);
-    Ok(Material { name, uses, alpha, animated: false, brushed })
+    Ok(Material { name, uses, alpha, animated: false, untextured_anisotropy })
 }
 
 fn texture_use(info: &Value, path: String, role: Option<Role>, textures: usize, pointer: &str) -> Result<TextureUse> {
@@ -246,31 +271,39 @@ fn texture_use(info: &Value, path: String, role: Option<Role>, textures: usize, 
     let texture = index(info, "index", textures, &at)?
         .ok_or_else(|| Failure::model("a texture is named without an index").at(at.clone()))?;
     let uv_set = index(info, "texCoord", 1 << 16, &at)?.unwrap_or(0);
-    let (transform, other) = Transform::of(info, &at)?;
-    Ok(TextureUse { path, texture, layout: Layout { uv_set: other.unwrap_or(uv_set), transform }, role })
+    let (transform, other) = TextureTransform::of(info, &at)?;
+    Ok(TextureUse { path, texture, layout: UvLayout { uv_set: other.unwrap_or(uv_set), transform }, role })
 }
 
-/// Every `…Texture: {index}` below a material's extensions that is not one of [`SLOTS`].
-fn extension_uses(value: &Value, path: &str, textures: usize, pointer: &str, uses: &mut Vec<TextureUse>) -> Result<()> {
+/// Every `…Texture: {index}` below a material's extensions that the table of extensions does not have.
+fn unknown_uses(value: &Value, path: &str, textures: usize, pointer: &str, uses: &mut Vec<TextureUse>) -> Result<()> {
     match value {
         Value::Object(map) => {
             for (key, child) in map {
                 let below = format!("{path}/{}", key.replace('~', "~0").replace('/', "~1"));
-                let known = SLOTS.iter().any(|(slot, _)| *slot == below);
+                let known = is_known(&below);
                 if !known && key.ends_with("exture") && child.get("index").is_some_and(Value::is_u64) {
                     uses.push(texture_use(child, below.clone(), None, textures, pointer)?);
                 }
-                extension_uses(child, &below, textures, pointer, uses)?;
+                unknown_uses(child, &below, textures, pointer, uses)?;
             }
         }
         Value::Array(items) => {
             for (i, child) in items.iter().enumerate() {
-                extension_uses(child, &format!("{path}/{i}"), textures, pointer, uses)?;
+                unknown_uses(child, &format!("{path}/{i}"), textures, pointer, uses)?;
             }
         }
         _ => {}
     }
     Ok(())
+}
+
+/// Whether the table of extensions has the texture at a path below a material.
+fn is_known(path: &str) -> bool {
+    let names = path.strip_prefix("/extensions/").and_then(|path| path.split_once('/'));
+    names.is_some_and(|(name, key)| {
+        extensions::find(name).is_some_and(|e| e.textures.iter().any(|(texture, _)| *texture == key))
+    })
 }
 
 fn primitive(json: &Value, value: &Value, m: usize, p: usize) -> Result<Primitive> {
@@ -279,9 +312,9 @@ fn primitive(json: &Value, value: &Value, m: usize, p: usize) -> Result<Primitiv
     let default_material = index(value, "material", count, &pointer)?;
     let mut materials: Vec<usize> = default_material.into_iter().collect();
     let mut known: BTreeSet<usize> = default_material.into_iter().collect();
-    if let Some(variants) = value.pointer("/extensions/KHR_materials_variants") {
+    if let Some(variants) = value.get("extensions").and_then(|e| e.get(VARIANTS)) {
         for (i, mapping) in array(variants, "mappings").iter().enumerate() {
-            let at = format!("{pointer}/extensions/KHR_materials_variants/mappings/{i}");
+            let at = format!("{pointer}/extensions/{VARIANTS}/mappings/{i}");
             if let Some(material) = index(mapping, "material", count, &at)?
                 && known.insert(material)
             {
@@ -305,10 +338,11 @@ fn primitive(json: &Value, value: &Value, m: usize, p: usize) -> Result<Primitiv
 
 /// Materials of which an animation moves a texture transform (KHR_animation_pointer).
 fn animated_transforms(json: &Value) -> BTreeSet<usize> {
+    let pointer = format!("/target/extensions/{ANIMATION_POINTER}/pointer");
     let channels = array(json, "animations").iter().flat_map(|a| array(a, "channels"));
     channels
-        .filter_map(|c| c.pointer("/target/extensions/KHR_animation_pointer/pointer").and_then(Value::as_str))
-        .filter(|p| p.contains("KHR_texture_transform"))
+        .filter_map(|c| c.pointer(&pointer).and_then(Value::as_str))
+        .filter(|p| p.contains(TEXTURE_TRANSFORM))
         .filter_map(|p| p.strip_prefix("/materials/")?.split('/').next()?.parse().ok())
         .collect()
 }
