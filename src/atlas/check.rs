@@ -10,7 +10,7 @@ use glam::{DVec2, DVec3};
 
 use super::bvh::{Bounds, Bvh};
 use super::overlap::{orientation, overlaps_where, penetration, triangles_overlap};
-use super::{Atlas, Charts, FaceId, Topology, UvId};
+use super::{Atlas, FaceId, UvId, find_root};
 
 /// How exactly UVs and positions are known.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -303,13 +303,13 @@ fn uv_before(before: &Atlas, after: &Atlas, face: FaceId) -> [DVec2; 3] {
 /// And faces that lost their area, though at their chart's scale (or the atlas', if less) the input's would be seen.
 fn flips(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> {
     let slack = exactness.texels(extent(after));
-    let charts = Charts::new(&Topology::new(after));
+    let charts = charts(after);
     let folded = folded(before);
     let total = |of: &dyn Fn(FaceId) -> f64| after.faces().map(of).sum::<f64>();
     let common_scale =
         (total(&|f| after.uv_area(f).abs()) / total(&|f| triangle_area(&uv_before(before, after, f)))).sqrt();
     let mut bad = Vec::new();
-    for faces in &charts.faces {
+    for faces in &charts {
         let [mut area, mut input_area, mut chart, mut turned] = [0.0; 4];
         let mut signs = Vec::with_capacity(faces.len());
         for &f in faces {
@@ -341,13 +341,39 @@ fn flips(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> 
     bad
 }
 
+/// The faces of each chart, ascending; charts by their lowest face. Told from UV edges alone: what is judged here is not asked for its adjacency.
+fn charts(atlas: &Atlas) -> Vec<Vec<FaceId>> {
+    let mut edges: Vec<(UvId, UvId, u32)> = Vec::with_capacity(3 * atlas.face_count());
+    for (f, corners) in atlas.corners.iter().enumerate() {
+        let edge = |k: usize| (corners[k], corners[(k + 1) % 3]);
+        edges.extend((0..3).map(edge).map(|(a, b)| (a.min(b), a.max(b), f as u32)));
+    }
+    edges.sort_unstable();
+    let mut parent: Vec<u32> = (0..atlas.face_count() as u32).collect();
+    for pair in edges.windows(2).filter(|w| (w[0].0, w[0].1) == (w[1].0, w[1].1)) {
+        let (a, b) = (find_root(&mut parent, pair[0].2), find_root(&mut parent, pair[1].2));
+        parent[a.max(b) as usize] = a.min(b);
+    }
+    let mut charts: Vec<Vec<FaceId>> = Vec::new();
+    let mut number = vec![usize::MAX; parent.len()];
+    for f in 0..parent.len() {
+        let root = find_root(&mut parent, f as u32) as usize;
+        if number[root] == usize::MAX {
+            number[root] = charts.len();
+            charts.push(Vec::new());
+        }
+        charts[number[root]].push(FaceId::new(f));
+    }
+    charts
+}
+
 /// By face: whether it lies against its chart's orientation.
 fn folded(atlas: &Atlas) -> Vec<bool> {
     let mut folded = vec![false; atlas.face_count()];
     if !atlas.has_layout() {
         return folded;
     }
-    for faces in &Charts::new(&Topology::new(atlas)).faces {
+    for faces in &charts(atlas) {
         let chart: f64 = faces.iter().map(|&f| atlas.uv_area(f)).filter(|a| a.is_finite()).sum();
         for &f in faces {
             let [a, b, c] = atlas.uv_triangle(f);

@@ -42,14 +42,14 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Starts from an Atlas.
-    pub fn new(atlas: Atlas) -> Self {
+    /// Starts from an Atlas. A surface without a layout gets a UV vertex for each of its vertices, all at the origin: each component is one
+    /// chart without shape, which can be cut open.
+    pub fn new(mut atlas: Atlas) -> Self {
+        if !atlas.has_layout() {
+            atlas.uv = vec![DVec2::ZERO; atlas.surface.positions.len()];
+            atlas.corners = atlas.surface.triangles.iter().map(|t| t.map(|v| UvId(v.0))).collect();
+        }
         let topology = Topology::new(&atlas);
-        Self::with_topology(atlas, topology)
-    }
-
-    /// Starts from an Atlas whose topology is known.
-    pub fn with_topology(atlas: Atlas, topology: Topology) -> Self {
         let at_uv = CornerLists::new(atlas.uv.len(), &atlas.corners, UvId::index);
         let at_vertex = CornerLists::new(atlas.surface.positions.len(), &atlas.surface.triangles, VertexId::index);
         Mesh { atlas, topology, at_uv, at_vertex, journal: Journal::default() }

@@ -240,3 +240,16 @@ fn stars_and_edges_of_non_manifold_surfaces_are_what_they_are() {
     let degenerate = Mesh::new(surfaces().swap_remove(6).1);
     assert_eq!(degenerate.star(UvId(1)).collect::<Vec<_>>(), [0, 1, 2, 5].map(FaceId), "each face once");
 }
+
+#[test]
+fn a_surface_without_a_layout_is_one_chart_that_can_be_cut() {
+    let mut bare = sheet(2, 2, DVec2::ZERO);
+    bare.uv.clear();
+    bare.corners.fill([Atlas::NO_UV; 3]);
+    let mut mesh = Mesh::new(bare);
+    assert_true(&mesh, "bare");
+    assert_eq!(Charts::new(mesh.topology()).len(), 1);
+    let inner: Vec<HalfEdge> = mesh.topology().half_edges().filter(|h| !mesh.topology().is_border(*h)).collect();
+    mesh.cut(&inner);
+    assert_eq!(Charts::new(mesh.topology()).len(), 8, "every face for itself");
+}
