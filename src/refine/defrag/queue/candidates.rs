@@ -60,8 +60,11 @@ impl OperationQueue<'_> {
         let (mut kept, mut former) = (BTreeSet::new(), BTreeMap::new());
         for id in old {
             let own = &mut self.candidates[id as usize];
-            let goes_on =
-                own.op.part == SeamPart::Within && own.status != OperationStatus::Gone && same.contains(&own.op.edges);
+            // What was within a chart that is part of another now is an operation of that one.
+            let goes_on = own.op.part == SeamPart::Within
+                && own.status != OperationStatus::Gone
+                && same.contains(&own.op.edges)
+                && own.op.edges.first().is_some_and(|&h| mesh.chart_at(h) == own.op.kept);
             let stands = || own.failure.is_some_and(|failure| failure.stands(mesh, &own.op, self.params));
             if goes_on && own.status == OperationStatus::Failed && stands() {
                 kept.insert(own.op.edges.clone());
