@@ -150,7 +150,7 @@ pub(super) fn attempt(
     let targets: &[Target] = if gentle { &[Target::Kept, Target::Mean] } else { &[Target::Mean] };
     let mut attempt = Attempt::failed(mesh, op, params, Reason::Singular);
     for wide in [false, true] {
-        if wide && !(partial && retry::may_widen(attempt.work)) {
+        if wide && !retry::may_widen(params, attempt.work) {
             break;
         }
         let try_way = |target: &Target, task: &Task<'_>| {

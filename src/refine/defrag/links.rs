@@ -11,7 +11,7 @@ pub(super) struct ChartLink {
     pub edges: Vec<u32>,
     /// Its operations.
     pub operations: Vec<u32>,
-    /// The most that one of its operations failed.
+    /// The most that one of its operations failed: those that follow on it begin with that.
     pub fails: u32,
 }
 

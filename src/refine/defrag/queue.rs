@@ -13,6 +13,8 @@ use crate::atlas::bvh::Bounds;
 use crate::packing::Random;
 
 mod candidates;
+#[cfg(test)]
+mod tests;
 
 /// Where an operation stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -8,7 +8,6 @@ use super::trial::{MergeTrial, Stop};
 use crate::numeric::arap::{Arap, Patch};
 use crate::numeric::repair::repair_inversions;
 use crate::refine::defrag::params::Search;
-use crate::refine::defrag::retry;
 
 /// Rounds of rotations and positions.
 const ROUNDS: usize = 20;
@@ -17,7 +16,8 @@ const FIRST: usize = 5;
 const HOPELESS: usize = 30;
 /// A round is the last when nothing moves by more, relative to the largest displacement.
 const SETTLED: f64 = 0.02;
-/// How much stiffer inverted triangles are made each time.
+/// Times that inverted triangles are made stiffer, and how much each time.
+const REPAIRS: usize = 3;
 const STIFFER: f64 = 4.0;
 /// Inverted triangles that may be repaired, and one in so many of the rest.
 const MOST_INVERTED: usize = 12;
@@ -116,7 +116,7 @@ impl MergeTrial<'_> {
         let areas: Vec<f64> = problem.rest.iter().map(|r| 0.5 * (r[1] - r[0]).perp_dot(r[2] - r[0])).collect();
         let all = problem.triangles.len();
         let mut stiffness = vec![1.0; all];
-        for round in 0..retry::REPAIRS {
+        for round in 0..REPAIRS {
             let mut near = vec![false; problem.free.len()];
             let mut inverted = 0;
             for i in problem.inverted(positions) {

@@ -38,7 +38,7 @@ impl OperationQueue<'_> {
         let (kept, mut former) = self.retire(mesh, link, old, &groups);
         if within {
             for group in groups.into_iter().filter(|g| !kept.contains(g)) {
-                let new = || Failures { fails: retry::inherited(fails), spent: 0 };
+                let new = || Failures { fails, spent: 0 };
                 let former = former.remove(&group).unwrap_or_else(new);
                 self.add(mesh, link, SeamPart::Within, group, former);
             }
@@ -60,10 +60,13 @@ impl OperationQueue<'_> {
         let (mut kept, mut former) = (BTreeSet::new(), BTreeMap::new());
         for id in old {
             let own = &mut self.candidates[id as usize];
-            let goes_on =
-                own.op.part == SeamPart::Within && own.status != OperationStatus::Gone && same.contains(&own.op.edges);
-            let stands = || own.failure.is_some_and(|failure| failure.stands(mesh, &own.op, self.params));
-            if goes_on && own.status == OperationStatus::Failed && stands() {
+            // What was within a chart that is part of another now is an operation of that one.
+            let goes_on = own.op.part == SeamPart::Within
+                && own.status != OperationStatus::Gone
+                && same.contains(&own.op.edges)
+                && own.op.edges.first().is_some_and(|&h| mesh.chart_at(h) == own.op.kept);
+            let fails = || retry::still_fails(mesh, &own.op, self.params, own.failure.as_ref());
+            if goes_on && own.status == OperationStatus::Failed && fails() {
                 kept.insert(own.op.edges.clone());
                 self.links.link_mut(link).operations.push(id);
                 continue;
