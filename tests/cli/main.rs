@@ -40,6 +40,20 @@ fn a_model_is_refined_from_file_to_file() {
 }
 
 #[test]
+fn another_seed_is_another_layout_and_the_same_seed_the_same() {
+    let folder = with_sample();
+    let refined = |seed: &str| {
+        let set = format!("seed={seed}");
+        let (code, _, errors) = intarsia(folder.path(), &["refine", "in.glb", "-o", "out.glb", "-q", "--set", &set]);
+        assert_eq!(code, 0, "{errors}");
+        fs::read(folder.path().join("out.glb")).unwrap()
+    };
+    let [zero, one, two] = ["0", "1", "2"].map(refined);
+    assert!(zero != one && one != two && two != zero);
+    assert_eq!(one, refined("1"));
+}
+
+#[test]
 fn several_models_come_out_as_several() {
     let folder = with_sample();
     let at = |name: &str| folder.path().join(name);
