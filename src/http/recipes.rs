@@ -241,7 +241,7 @@ mod tests {
             told,
             [
                 "no recipe or stage is called `nudg`; did you mean `nudge`?",
-                "unknown option `buy`; did you mean `by`?",
+                "unknown option `buy`; known here: by, breaks",
                 "`by` is 65, outside 1..=64",
             ]
         );

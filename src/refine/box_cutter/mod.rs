@@ -116,7 +116,7 @@ pub(crate) fn box_cutter(
     };
     let start = SearchState { panels, arrangement, length, weighted: length, cuts: Vec::new() };
     let found = search(start, &search_context, &limits, context)?;
-    let (state, laid, work) = finish(&mesh, &charts, &found, &search_context, &limits, sheet_info, options, context)?;
+    let (state, laid, work) = finish((&mesh, &charts), &found, &search_context, &limits, sheet_info, options, context)?;
     figures.extend([
         ("work".to_owned(), json!(found.work + work)),
         ("candidates".to_owned(), json!(found.tried)),
@@ -211,8 +211,7 @@ fn without_overlaps(
 
 /// Makes the cuts of the best few states, packs each, and gives the best packing.
 fn finish(
-    mesh: &Mesh,
-    charts: &Charts,
+    (mesh, charts): (&Mesh, &Charts),
     found: &SearchResult,
     search_context: &SearchContext<'_>,
     limits: &Limits,
