@@ -85,7 +85,7 @@ fn merge_charts(
     options: &Options,
     context: &Context,
 ) -> Result<Map<String, Value>> {
-    let mut queue = OperationQueue::new(mesh, params, f64::from(sheet_info.unit), context.seed ^ options.seed);
+    let mut queue = OperationQueue::new(mesh, params, f64::from(sheet_info.unit), context.seed);
     let mut account = Account::new(mesh, params, options.work_budget.unwrap_or(u64::MAX));
     let mut attempts = Speculation::new(params);
     let all = queue.len().max(1);
