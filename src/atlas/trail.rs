@@ -52,6 +52,31 @@ pub struct Trail {
 /// Rounds of splitting: a seam can be crossed on both of its sides.
 const PASSES: usize = 8;
 
+/// The line of a walk.
+struct Ray {
+    origin: DVec2,
+    /// Of length 1.
+    along: DVec2,
+    /// Vertices that are nearer are on it.
+    snap: f64,
+}
+
+impl Ray {
+    /// Signed distance from the line.
+    fn side(&self, p: DVec2) -> f64 {
+        self.along.perp_dot(p - self.origin)
+    }
+
+    /// How far along it.
+    fn reach(&self, p: DVec2) -> f64 {
+        self.along.dot(p - self.origin)
+    }
+
+    fn is_on(&self, p: DVec2) -> bool {
+        self.side(p).abs() < self.snap
+    }
+}
+
 /// The place of a walk: on its way into a face through a point, or at a vertex.
 #[derive(Clone, Copy)]
 enum Place {
@@ -82,16 +107,15 @@ impl Mesh {
         let origin = self.point_position(first);
         let mut trail = Trail { points: vec![first], length: 0.0, end: TrailEnd::Outside };
         let Some(along) = direction.try_normalize() else { return trail };
-        let side = |p: DVec2| along.perp_dot(p - origin);
-        let reach = |p: DVec2| along.dot(p - origin);
+        let ray = Ray { origin, along, snap };
         // A straight walk enters no face twice.
         for _ in 0..=self.atlas().face_count() {
             let next = match place {
-                Place::Vertex(corner) => self.leave_vertex(corner, &side, &reach, snap),
-                Place::Face(h) => self.cross_face(h, &side, &reach, snap),
+                Place::Vertex(corner) => self.leave_vertex(corner, &ray),
+                Place::Face(h) => self.cross_face(h, &ray),
             };
             let Some(point) = next else { break };
-            let at = reach(self.point_position(point));
+            let at = ray.reach(self.point_position(point));
             if at > length {
                 trail.end = TrailEnd::Length;
                 break;
@@ -114,51 +138,39 @@ impl Mesh {
     }
 
     /// The place where the walk leaves the face that it entered through `h`: a vertex that is near, or a point of another edge.
-    fn cross_face(
-        &self,
-        h: HalfEdge,
-        side: &dyn Fn(DVec2) -> f64,
-        reach: &dyn Fn(DVec2) -> f64,
-        snap: f64,
-    ) -> Option<TrailPoint> {
-        let ahead = reach(self.position(self.uv_ends(h)[0])).min(reach(self.position(self.uv_ends(h)[1])));
+    fn cross_face(&self, h: HalfEdge, ray: &Ray) -> Option<TrailPoint> {
+        let [a, b] = self.uv_ends(h).map(|u| ray.reach(self.position(u)));
         for corner in [h.next().next(), h.next(), h] {
             let p = self.position(self.uv_at(corner));
             // The opposite vertex first; an end of the edge only where the walk runs along it.
-            if side(p).abs() < snap && (corner == h.previous() || reach(p) > ahead + snap) {
+            if ray.is_on(p) && (corner == h.previous() || ray.reach(p) > a.min(b) + ray.snap) {
                 return Some(TrailPoint::Vertex(self.uv_at(corner)));
             }
         }
-        [h.next(), h.previous()].into_iter().find_map(|edge| self.crossing(edge, side))
+        [h.next(), h.previous()].into_iter().find_map(|edge| self.crossing(edge, ray))
     }
 
     /// The point at which the walk crosses an edge.
-    fn crossing(&self, h: HalfEdge, side: &dyn Fn(DVec2) -> f64) -> Option<TrailPoint> {
-        let [a, b] = self.uv_ends(h).map(|u| side(self.position(u)));
+    fn crossing(&self, h: HalfEdge, ray: &Ray) -> Option<TrailPoint> {
+        let [a, b] = self.uv_ends(h).map(|u| ray.side(self.position(u)));
         (a * b < 0.0).then(|| TrailPoint::Edge(h, a / (a - b)))
     }
 
     /// The place to which the walk comes from a vertex: over one of the faces of the fan that the corner is of.
-    fn leave_vertex(
-        &self,
-        corner: HalfEdge,
-        side: &dyn Fn(DVec2) -> f64,
-        reach: &dyn Fn(DVec2) -> f64,
-        snap: f64,
-    ) -> Option<TrailPoint> {
-        let here = reach(self.position(self.uv_at(corner)));
+    fn leave_vertex(&self, corner: HalfEdge, ray: &Ray) -> Option<TrailPoint> {
+        let here = ray.reach(self.position(self.uv_at(corner)));
         let fan = self.fan(corner);
         // Along an edge, if there is one.
         for &c in &fan {
             for end in [c.next(), c.previous()] {
                 let p = self.position(self.uv_at(end));
-                if side(p).abs() < snap && reach(p) > here {
+                if ray.is_on(p) && ray.reach(p) > here {
                     return Some(TrailPoint::Vertex(self.uv_at(end)));
                 }
             }
         }
-        let forward = |point: &TrailPoint| reach(self.point_position(*point)) > here;
-        fan.iter().find_map(|c| self.crossing(c.next(), side).filter(forward))
+        let forward = |point: &TrailPoint| ray.reach(self.point_position(*point)) > here;
+        fan.iter().find_map(|c| self.crossing(c.next(), ray).filter(forward))
     }
 
     /// The corners that lie at the UV vertex of `corner` and hang together with it over UV edges, in a fixed order.
@@ -199,18 +211,7 @@ impl Mesh {
 
     /// Divides the faces along a trail, without cutting: gives the half edges along it. Trails that cross it later find them.
     pub fn divide_along(&mut self, start: TrailStart, direction: DVec2, length: f64, snap: f64) -> Vec<HalfEdge> {
-        let mut start = start;
-        if let TrailStart::Edge(h, t) = start {
-            // From here on the start is a vertex: of the face that the half edge was of, or of a part of it.
-            let face = h.face();
-            let made = self.split_edge(h, t);
-            let Some(uv) = made.uvs.iter().find(|u| u.0 == face).map(|u| u.2) else { return Vec::new() };
-            let parts = made.faces.iter().filter(|f| f.1 == face).map(|f| f.0).chain([face]);
-            let corners = parts.flat_map(|f| (0..3).map(move |k| HalfEdge::of(f, k)));
-            let Some(corner) = corners.into_iter().find(|c| self.uv_at(*c) == uv) else { return Vec::new() };
-            start = TrailStart::Corner(corner);
-        }
-        let TrailStart::Corner(first) = start else { return Vec::new() };
+        let Some(first) = self.start_corner(start) else { return Vec::new() };
         let first_uv = self.uv_at(first);
         for _ in 0..PASSES {
             // Splitting divides faces: the corner is found again by its vertex and what lies about it.
@@ -231,6 +232,19 @@ impl Mesh {
             self.split_edges(&splits);
         }
         Vec::new()
+    }
+
+    /// The corner at which a trail starts; a start on an edge becomes a vertex, of the face that the half edge was of or of a part of it.
+    fn start_corner(&mut self, start: TrailStart) -> Option<HalfEdge> {
+        let (h, t) = match start {
+            TrailStart::Corner(corner) => return Some(corner),
+            TrailStart::Edge(h, t) => (h, t),
+        };
+        let face = h.face();
+        let made = self.split_edge(h, t);
+        let uv = made.uvs.iter().find(|u| u.0 == face)?.2;
+        let parts = made.faces.iter().filter(|f| f.1 == face).map(|f| f.0).chain([face]);
+        parts.flat_map(|f| (0..3).map(move |k| HalfEdge::of(f, k))).find(|c| self.uv_at(*c) == uv)
     }
 
     /// A corner at `uv` of the fan that `first` was of, in a face that the direction points into where there is one.

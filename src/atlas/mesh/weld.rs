@@ -1,6 +1,7 @@
 //! Zipping: UV vertices of one surface vertex become one, and seams between them are closed.
 
 use super::{Mesh, ascending};
+use crate::atlas::seams::linked_corners;
 use crate::atlas::{HalfEdge, UvId};
 
 impl Mesh {
@@ -18,11 +19,7 @@ impl Mesh {
     /// The UV vertices of a half edge and of its twin on the surface, matched by surface vertex: (own, across) at its start and at its
     /// end.
     pub fn linked(&self, h: HalfEdge, twin: HalfEdge) -> [(UvId, UvId); 2] {
-        let (own, mut across) = (self.uv_ends(h), self.uv_ends(twin));
-        if self.surface_ends(h)[0] != self.surface_ends(twin)[0] {
-            across.swap(0, 1);
-        }
-        [(own[0], across[0]), (own[1], across[1])]
+        linked_corners(&self.atlas, h, twin)
     }
 
     /// Makes UV vertices of one surface vertex one: all corners of the first of each pair become the second's, in order. Where both ends

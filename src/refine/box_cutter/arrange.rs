@@ -6,13 +6,13 @@ use glam::DVec2;
 
 use super::outline::Line;
 use super::panel::{Panel, Raster, to_chart};
-use crate::packing::{Mask, PlacementRule as Rule, Plan, Shapes, StripLayout as Layout, greedy};
+use crate::packing::{Mask, PlacementRule, Plan, Shapes, StripLayout, greedy};
 
 /// A layout of panels.
 #[derive(Debug, Clone)]
 pub(crate) struct Arrangement {
     /// The layout in cells.
-    pub layout: Layout,
+    pub layout: StripLayout,
     /// True area of the panels over the area of the layout's box (with its aspect ratio, where one is prescribed).
     pub efficiency: f64,
 }
@@ -31,7 +31,8 @@ pub(crate) struct Sheet {
 }
 
 /// Rules of placement: the growth of the active area first, then what lies lowest, or what stays lowest.
-const RULES: [Rule; 2] = [Rule { growth: 4.0, top: 1.0, low: 0.0 }, Rule { growth: 4.0, top: 0.0, low: 1.0 }];
+const RULES: [PlacementRule; 2] =
+    [PlacementRule { growth: 4.0, top: 1.0, low: 0.0 }, PlacementRule { growth: 4.0, top: 0.0, low: 1.0 }];
 
 /// Widths about a known one.
 const NEAR: [f64; 3] = [1.0, 0.94, 1.06];
@@ -74,7 +75,7 @@ impl Sheet {
         };
         let mut by_side = by_area.clone();
         by_side.sort_by_key(|&p| std::cmp::Reverse(longest(p)));
-        let mut best: Option<(f64, Layout)> = None;
+        let mut best: Option<(f64, StripLayout)> = None;
         let mut work = 0;
         let plans = [(&by_area, RULES[0]), (&by_side, RULES[0]), (&by_area, RULES[1])];
         let count = if !near {
@@ -111,7 +112,7 @@ impl Sheet {
     }
 
     /// Cells of the sheet that holds a layout.
-    fn cost(&self, layout: &Layout) -> f64 {
+    fn cost(&self, layout: &StripLayout) -> f64 {
         let (w, h) = (layout.width as f64, layout.height as f64);
         match self.aspect {
             Some(aspect) => w.max(h * aspect) * h.max(w / aspect),

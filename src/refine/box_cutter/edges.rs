@@ -54,8 +54,10 @@ impl<'a> EdgeCutter<'a> {
     fn weighted(&self, h: HalfEdge) -> f64 {
         let [a, b] = self.mesh.uv_ends(h);
         let length = self.at(a).distance(self.at(b));
-        self.weights
-            .map_or(length, |w| length * (w[h.face().index()][h.corner()] + w[h.face().index()][h.end_corner()]) * 0.5)
+        self.weights.map_or(length, |weights| {
+            let own = weights[h.face().index()];
+            length * (own[h.corner()] + own[h.end_corner()]) * 0.5
+        })
     }
 
     /// The half edge across an edge that is interior to the patch.

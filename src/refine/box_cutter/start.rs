@@ -14,8 +14,7 @@ use crate::atlas::{
     Atlas, ChartId, Charts, Clusters, FaceId, LineCutter, Loops, Mesh, OverlapMode, Segment, Topology, clusters,
     overlaps,
 };
-use crate::packing::InitialLayout as Layout;
-use crate::packing::Rotation;
+use crate::packing::{InitialLayout, Rotation};
 
 /// Overlapping pairs that are looked for; beyond, charts are told apart by their areas alone.
 const PAIRS: usize = 1_000_000;
@@ -117,7 +116,7 @@ pub(crate) fn layout(
     mode: OverlapMode,
     state: &SearchState,
     raster: &Raster,
-) -> Option<Layout> {
+) -> Option<InitialLayout> {
     let charts = Charts::new(&Topology::new(atlas));
     let together = clusters(atlas, &charts, mode);
     if together.charts.len() != state.panels.len() {
@@ -149,5 +148,5 @@ pub(crate) fn layout(
         places.push((orientation, corner));
     }
     let layout = &state.arrangement.layout;
-    Some(Layout { places, sides: [layout.width, layout.height].map(|s| s as f64 * raster.cell) })
+    Some(InitialLayout { places, sides: [layout.width, layout.height].map(|s| s as f64 * raster.cell) })
 }
