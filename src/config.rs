@@ -28,6 +28,14 @@ pub enum Command {
     Sample(Sample),
     /// Print the OpenAPI document of the service.
     Openapi,
+    /// Copy the data folder of a service, which may go on running, as of one moment.
+    Backup(Backup),
+    /// Compute one job for the service that starts this; not for people.
+    #[command(hide = true)]
+    Attempt {
+        /// The job, for those who look at the list of processes.
+        job: String,
+    },
     /// Ask a running service on this machine whether it is alive; exit code 0 when it is.
     Health(Health),
 }
@@ -41,6 +49,9 @@ pub struct Serve {
     /// Folder of the queue, the uploads and the results.
     #[arg(long, env = "INTARSIA_DATA_DIR", default_value = "./intarsia-data")]
     pub data_dir: PathBuf,
+    /// How the data folder is looked after.
+    #[command(flatten)]
+    pub storage: Storage,
     /// How jobs are run.
     #[command(flatten)]
     pub work: Work,
@@ -76,6 +87,28 @@ pub struct Health {
     /// Address that the service listens on.
     #[arg(long, env = "INTARSIA_LISTEN", default_value = "127.0.0.1:8080")]
     pub listen: SocketAddr,
+}
+
+/// How the service looks after its data folder.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Args)]
+pub struct Storage {
+    /// Bytes that must be free on the volume of the data folder; with fewer, the service takes and starts no jobs, and says on /readyz that
+    /// it is not ready. Without it, 64MiB, or a tenth of the volume where that is less.
+    #[arg(long, env = "INTARSIA_MIN_FREE", value_parser = parse_size)]
+    pub min_free: Option<u64>,
+    /// Take over stored files whose own queue is lost: what this queue does not know is removed.
+    #[arg(long, env = "INTARSIA_ADOPT_STORE")]
+    pub adopt_store: bool,
+}
+
+/// `intarsia backup`.
+#[derive(Debug, Clone, Args)]
+pub struct Backup {
+    /// A folder that does not exist yet, or is empty.
+    pub to: PathBuf,
+    /// Folder of the queue, the uploads and the results.
+    #[arg(long, env = "INTARSIA_DATA_DIR", default_value = "./intarsia-data")]
+    pub data_dir: PathBuf,
 }
 
 /// How the service runs jobs.
@@ -131,6 +164,12 @@ pub struct Limits {
     /// Seconds (or 30s, 5m) that an upload may stand still.
     #[arg(long, env = "INTARSIA_UPLOAD_IDLE", default_value = "60s", value_parser = parse_duration)]
     pub upload_idle: Duration,
+    /// Bytes of the uploads of all jobs that wait or run; further ones are told to come back.
+    #[arg(long, env = "INTARSIA_MAX_WAITING", default_value = "32GiB", value_parser = parse_size)]
+    pub max_waiting: u64,
+    /// Bytes of all artifacts that are kept; where there are more, submissions are told to come back.
+    #[arg(long, env = "INTARSIA_MAX_STORED", default_value = "100GiB", value_parser = parse_size)]
+    pub max_stored: u64,
     /// Jobs that wait; further ones are told to come back.
     #[arg(long, env = "INTARSIA_MAX_QUEUED", default_value_t = 1000)]
     pub max_queued: u32,

@@ -36,6 +36,10 @@ pub enum Code {
     IdempotencyMismatch,
     /// The queue is full (HTTP).
     QueueFull,
+    /// The service has no space left to store anything (HTTP).
+    InsufficientStorage,
+    /// The disk or the database of the service fails for now (HTTP).
+    Unavailable,
     /// Intarsia is at fault.
     Internal,
 }
@@ -59,6 +63,8 @@ impl Code {
             Code::Conflict => "conflict",
             Code::IdempotencyMismatch => "idempotency_mismatch",
             Code::QueueFull => "queue_full",
+            Code::InsufficientStorage => "insufficient_storage",
+            Code::Unavailable => "unavailable",
             Code::Internal => "internal",
         }
     }
@@ -90,6 +96,10 @@ impl Failure {
     /// The model is broken.
     pub fn model(message: impl Into<String>) -> Self {
         Self::new(Code::InvalidModel, message)
+    }
+    /// Whether the machine is in trouble, which will pass: no job ends for it.
+    pub fn is_of_the_machine(&self) -> bool {
+        matches!(self.code, Code::InsufficientStorage | Code::Unavailable)
     }
     /// Intarsia is at fault.
     pub fn internal(message: impl Into<String>) -> Self {

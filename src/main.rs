@@ -18,6 +18,8 @@ fn main() -> ExitCode {
         Command::Inspect(arguments) => commands::inspect::run(&arguments),
         Command::Sample(arguments) => commands::sample::run(&arguments),
         Command::Openapi => commands::openapi::run(),
+        Command::Backup(arguments) => commands::backup::run(&arguments),
+        Command::Attempt { job: _ } => intarsia::jobs::attempt(),
         Command::Health(arguments) => commands::health::run(&arguments),
     }) else {
         return ExitCode::from(1);

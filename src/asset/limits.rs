@@ -3,7 +3,7 @@
 use crate::error::{Code, Failure, Result};
 
 /// Limits on the input, checked before anything large is allocated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Limits {
     /// Bytes of all input files together, unpacked. Default 1 GiB.
     pub max_input_bytes: u64,

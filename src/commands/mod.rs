@@ -1,5 +1,6 @@
 //! One file a subcommand; here what they share.
 
+pub mod backup;
 pub mod health;
 pub mod inspect;
 pub mod openapi;

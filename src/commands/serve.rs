@@ -38,7 +38,7 @@ async fn serve(arguments: &Serve) -> Result<()> {
     if let Err(error) = rlimit::increase_nofile_limit(u64::MAX) {
         tracing::warn!(%error, "the limit of open files stays as it is");
     }
-    let jobs = Jobs::open(&arguments.data_dir, &arguments.work, arguments.limits.clone()).await?;
+    let jobs = Jobs::open(&arguments.data_dir, &arguments.work, arguments.limits.clone(), &arguments.storage).await?;
     let service = router(App::new(jobs.clone(), arguments.list_jobs), &arguments.allow_origin)?;
     let failed =
         |e: std::io::Error| Failure::new(Code::InvalidRequest, format!("cannot listen on {}: {e}", arguments.listen));
@@ -53,6 +53,7 @@ async fn serve(arguments: &Serve) -> Result<()> {
     server.http_builder().http1().timer(TokioTimer::new()).header_read_timeout(HEADERS);
     let worker = tokio::spawn(jobs.clone().work());
     let maintenance = tokio::spawn(jobs.clone().run_maintenance());
+    tokio::spawn(jobs.clone().watch());
     super::print(&format!("listening on http://{address}\n"))?;
 
     let shutdown = jobs.shutdown.clone();

@@ -28,16 +28,16 @@ pub(super) async fn alive() -> Json<Health> {
     Json(OK)
 }
 
-/// Ready: the queue answers, and the service is not shutting down.
+/// Ready: the disk takes what is written, enough of it is free, the queue is what it was, and the service is not shutting down.
 #[utoipa::path(get, path = "/readyz", tag = "service", responses(
     (status = 200, body = Health),
     (status = 503, description = "Not now", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn ready(State(app): State<App>) -> HandlerResult<Json<Health>> {
-    let unready = |why| Problem::new(Code::Internal, why).with_status(StatusCode::SERVICE_UNAVAILABLE);
     if app.jobs.shutdown.is_cancelled() {
-        return Err(unready("the service is shutting down"));
+        return Err(Problem::new(Code::Unavailable, "the service is shutting down"));
     }
-    app.jobs.waiting().await.map_err(|_| unready("the job queue does not answer"))?;
+    // A probe wants to know that it must not send anything: one status for every reason.
+    app.jobs.ready().map_err(|why| Problem::from(why).with_status(StatusCode::SERVICE_UNAVAILABLE))?;
     Ok(Json(OK))
 }
 

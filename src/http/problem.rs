@@ -29,6 +29,8 @@ pub fn status(code: Code) -> (StatusCode, &'static str) {
         Code::Conflict => (StatusCode::CONFLICT, "The state of the job does not allow this"),
         Code::IdempotencyMismatch => (StatusCode::UNPROCESSABLE_ENTITY, "The key belongs to another request"),
         Code::QueueFull => (StatusCode::SERVICE_UNAVAILABLE, "The service is busy"),
+        Code::InsufficientStorage => (StatusCode::INSUFFICIENT_STORAGE, "The service has no space left"),
+        Code::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, "The service is in trouble"),
         Code::Internal => (StatusCode::INTERNAL_SERVER_ERROR, "Intarsia is at fault"),
     }
 }
@@ -91,7 +93,7 @@ impl IntoResponse for Problem {
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-        if status == StatusCode::SERVICE_UNAVAILABLE {
+        if matches!(status, StatusCode::SERVICE_UNAVAILABLE | StatusCode::INSUFFICIENT_STORAGE) {
             headers.insert(header::RETRY_AFTER, RETRY_AFTER);
         }
         response

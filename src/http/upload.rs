@@ -82,7 +82,7 @@ pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<(Job, 
     let options = serde_json::to_value(&options).map_err(|e| Failure::internal(e.to_string()))?;
     let key = key.map(|key| (key, incoming.fingerprint(&options)));
     let (jobs, id, inputs) = (app.jobs.clone(), incoming.id.clone(), incoming.take());
-    let job = NewJob { id, options, inputs, memory, key, request: request_id };
+    let job = NewJob { id, options, inputs, memory, bytes: incoming.bytes, key, request: request_id };
     app.jobs.telemetry.received.inc_by(incoming.bytes);
     // A task of its own: a client that goes away now does not stop it half-way.
     let stored = tokio::spawn(async move { jobs.submit(&job).await }).await;
@@ -104,6 +104,7 @@ fn key(headers: &HeaderMap) -> HandlerResult<Option<String>> {
 /// What is refused before anything is read.
 async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> HandlerResult<SemaphorePermit<'a>> {
     let limits = &app.jobs.limits;
+    app.jobs.ready()?;
     let Ok(permit) = app.uploads.try_acquire() else {
         return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
     };
@@ -115,6 +116,19 @@ async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> HandlerResult<Semaphore
     // The form around the files may add a little.
     if announced.is_some_and(|n| n > limits.max_upload.saturating_add(MAX_OPTIONS_BYTES as u64 * 2)) {
         return Err(too_large(limits.max_upload));
+    }
+    let stored = app.jobs.queue.stored_bytes().await?;
+    if stored.uploads.saturating_add(announced.unwrap_or(0)) > limits.max_waiting {
+        let detail =
+            format!("the jobs that wait hold {} of {} bytes; try again later", stored.uploads, limits.max_waiting);
+        return Err(Problem::new(Code::QueueFull, detail));
+    }
+    if stored.artifacts >= limits.max_stored {
+        let detail = format!(
+            "the results that are kept take {} bytes, and {} are allowed: they expire by themselves, or are deleted with their jobs",
+            stored.artifacts, limits.max_stored
+        );
+        return Err(Problem::new(Code::InsufficientStorage, detail));
     }
     Ok(permit)
 }

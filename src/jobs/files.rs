@@ -16,7 +16,7 @@ use sha2::{Digest, Sha256};
 
 use super::record::{ArtifactEntry, new_id};
 use crate::asset::File;
-use crate::error::{Failure, Result};
+use crate::error::{Code, Failure, Result};
 use crate::refine::run::Artifact;
 
 /// Characters that need no escape in the last segment of a path (RFC 3986, unreserved).
@@ -61,7 +61,7 @@ impl Files {
     /// ends.
     ///
     /// # Errors
-    /// `internal` with the system's words.
+    /// `insufficient_storage`, `unavailable`.
     pub fn open(root: &Path) -> Result<Self> {
         let owner = new_id()?;
         let incoming = Path::new("incoming").join(&owner);
@@ -80,6 +80,11 @@ impl Files {
         };
         let lock = lock().map_err(|e| disk(&path, &e))?;
         Ok(Files { root: root.to_owned(), owner, _lock: Arc::new(lock) })
+    }
+
+    /// The data folder.
+    pub(super) fn root(&self) -> &Path {
+        &self.root
     }
 
     /// The worker that this process is.
@@ -127,7 +132,7 @@ impl Files {
     /// Takes a complete upload over. All its files have been synced.
     ///
     /// # Errors
-    /// `internal` with the system's words.
+    /// `insufficient_storage`, `unavailable`.
     pub fn accept(&self, job: &str) -> Result<()> {
         let (from, to) = (self.incoming(job), self.uploads(job));
         sync_folder(&from).map_err(|e| disk(&from, &e))?;
@@ -135,19 +140,24 @@ impl Files {
         sync_folder(&self.root.join("uploads")).map_err(|e| disk(&to, &e))
     }
 
-    fn uploads(&self, job: &str) -> PathBuf {
+    /// Where the upload of a job lies.
+    pub fn uploads(&self, job: &str) -> PathBuf {
         self.root.join("uploads").join(job)
     }
 
-    /// Reads an upload: each model with all side files.
+    /// Reads an upload, which lies in `folder`: each model with all side files.
     ///
     /// # Errors
-    /// `internal` with the system's words.
-    pub fn load(&self, job: &str, manifest: &Manifest) -> Result<Vec<Vec<File>>> {
-        let folder = self.uploads(job);
+    /// `unavailable`; `internal` where a file is gone.
+    pub fn load(folder: &Path, manifest: &Manifest) -> Result<Vec<Vec<File>>> {
         let read = |stored: &UploadedFile| {
             let path = folder.join(stored.number.to_string());
-            let bytes = fs::read(&path).map_err(|e| disk(&path, &e))?;
+            let bytes = fs::read(&path).map_err(|e| match e.kind() {
+                io::ErrorKind::NotFound => {
+                    Failure::internal("what was uploaded for this job is gone from the data folder")
+                }
+                _ => disk(&path, &e),
+            })?;
             Ok(File { path: stored.path.clone(), bytes })
         };
         let side: Vec<File> = manifest.files.iter().map(read).collect::<Result<_>>()?;
@@ -165,7 +175,7 @@ impl Files {
     /// Stores the files of a result, whose objects are reserved, by their hashes. When this returns, they survive anything.
     ///
     /// # Errors
-    /// `internal` with the system's words.
+    /// `insufficient_storage`, `unavailable`.
     pub fn store(&self, entries: &[ArtifactEntry], artifacts: &[Artifact]) -> Result<()> {
         let put = |entry: &ArtifactEntry, artifact: &Artifact| -> io::Result<()> {
             let object = self.object(&entry.sha256);
@@ -253,10 +263,15 @@ fn remove_folder(path: &Path) {
     }
 }
 
-/// A failure of the disk: the log gets the words, the user the fact.
+/// A failure of the disk: the machine's trouble, which ends no job.
 pub fn disk(path: &Path, error: &io::Error) -> Failure {
-    tracing::error!(path = %path.display(), %error, "the data folder failed");
-    Failure::internal(format!("the data folder failed: {}", error.kind()))
+    tracing::debug!(path = %path.display(), %error, "the data folder failed");
+    match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            Failure::new(Code::InsufficientStorage, "the disk of the data folder is full")
+        }
+        kind => Failure::new(Code::Unavailable, format!("the data folder cannot be used: {kind}")),
+    }
 }
 
 #[cfg(test)]
@@ -313,9 +328,9 @@ mod tests {
         for n in 0..3 {
             fs::write(files.incoming("j").join(n.to_string()), [n]).unwrap();
         }
-        assert!(files.load("j", &manifest).is_err());
+        assert!(Files::load(&files.uploads("j"), &manifest).is_err());
         files.accept("j").unwrap();
-        let models = files.load("j", &manifest).unwrap();
+        let models = Files::load(&files.uploads("j"), &manifest).unwrap();
         let seen: Vec<Vec<(&str, u8)>> =
             models.iter().map(|m| m.iter().map(|f| (f.path.as_str(), f.bytes[0])).collect()).collect();
         assert_eq!(seen, [[("a.glb", 0), ("t.png", 2)], [("b.glb", 1), ("t.png", 2)]]);

@@ -13,7 +13,7 @@ use crate::context::{Listener, Progress};
 use crate::error::Warning;
 
 /// The smallest step of the fraction that is passed on.
-const STEP: f64 = 0.002;
+pub(super) const STEP: f64 = 0.002;
 
 /// Where a job of this process stands.
 #[derive(Debug, Clone, PartialEq)]

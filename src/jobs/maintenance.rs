@@ -15,10 +15,10 @@ impl Jobs {
     /// # Errors
     /// `internal`.
     pub async fn recover(&self) -> Result<()> {
-        let mut back = self.queue.recover(None).await?;
+        let mut back = self.queue.recover(None, self.files.owner()).await?;
         for owner in self.queue.owners().await?.iter().filter(|o| *o != self.files.owner()) {
             if self.files.worker_is_gone(owner) {
-                back.extend(self.queue.recover(Some(owner)).await?);
+                back.extend(self.queue.recover(Some(owner), self.files.owner()).await?);
             }
         }
         for (job, state) in back {
@@ -42,6 +42,9 @@ impl Jobs {
     /// # Errors
     /// `internal`.
     pub(super) async fn collect(&self, job: Option<&str>, sweep: bool) -> Result<()> {
+        if self.foreign {
+            return Ok(());
+        }
         let files = self.files.clone();
         let present = match sweep {
             true => tokio::task::spawn_blocking(move || files.objects()).await,
@@ -63,11 +66,13 @@ impl Jobs {
             self.files.remove_uploads(&job);
         }
         let expired = self.queue.expire_artifacts().await?;
-        self.files.remove_dead_workers();
+        if !self.foreign {
+            self.files.remove_dead_workers();
+        }
         let purged = self.queue.purge(now.minus(self.limits.keep_jobs)).await?;
-        for job in self.files.untouched(ORPHANED_AFTER) {
-            if !self.queue.needs_upload(&job).await? {
-                self.files.remove_uploads(&job);
+        for job in self.files.untouched(ORPHANED_AFTER).iter().filter(|_| !self.foreign) {
+            if !self.queue.needs_upload(job).await? {
+                self.files.remove_uploads(job);
             }
         }
         if sweep || !expired.is_empty() || purged > 0 {

@@ -3,12 +3,16 @@
 //! [`Jobs`] is what handlers call. A job is on the disk (files first, then its row in the queue) before it is
 //! acknowledged; a worker claims it, computes, stores the files of the result and publishes them with one statement.
 
+mod apart;
+pub mod backup;
 pub mod files;
+mod health;
 pub mod hub;
 mod maintenance;
 pub mod queue;
 pub mod record;
 pub mod slots;
+mod storage;
 mod stored_options;
 mod system;
 pub mod telemetry;
@@ -23,9 +27,11 @@ use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 use self::telemetry::Telemetry;
-use crate::config::{Limits, Work};
+use crate::config::{Limits, Storage, Work};
 use crate::error::{Code, Failure, Result};
+pub use apart::attempt;
 use files::Files;
+use health::Health;
 use hub::Hub;
 use queue::sqlite::Sqlite;
 use queue::{CancelReply, NewJob, Queue, Submitted};
@@ -51,6 +57,10 @@ pub struct Jobs {
     pub slots: Arc<Slots>,
     /// What is counted.
     pub telemetry: Telemetry,
+    health: Health,
+    /// Why nothing may be collected, where the queue does not know the files that are here.
+    foreign: bool,
+    min_free: Option<u64>,
     lease: Duration,
     grace: Duration,
     wake: Notify,
@@ -60,11 +70,14 @@ impl Jobs {
     /// Opens the data folder and takes back what dead processes left running.
     ///
     /// # Errors
-    /// `internal`: the disk, or threads that cannot be had.
-    pub async fn open(data: &Path, work: &Work, limits: Limits) -> Result<Arc<Self>> {
+    /// `insufficient_storage`, `unavailable`: the disk or the queue's file; `internal`: threads that cannot be had.
+    pub async fn open(data: &Path, work: &Work, limits: Limits, storage: &Storage) -> Result<Arc<Self>> {
         let files = Files::open(data)?;
+        let fresh = !files.queue().exists();
         let queue = Sqlite::open(&files.queue()).await?;
-        tracing::info!(store = queue.identity().await?, "the job queue is open");
+        let identity = queue.identity().await?;
+        let owned = files.own(&identity, fresh, storage.adopt_store)?;
+        tracing::info!(store = identity, "the job queue is open");
         let jobs = Jobs {
             queue: Box::new(queue),
             files,
@@ -73,12 +86,18 @@ impl Jobs {
             shutdown: CancellationToken::new(),
             slots: Slots::new(usize::from(work.jobs), work.threads, work.memory())?,
             telemetry: Telemetry::new()?,
+            health: Health::default(),
+            foreign: !owned,
+            min_free: storage.min_free,
             lease: work.lease,
             grace: work.grace,
             wake: Notify::new(),
         };
+        jobs.look_after().await;
         jobs.recover().await?;
-        jobs.files.remove_dead_workers();
+        if owned {
+            jobs.files.remove_dead_workers();
+        }
         jobs.collect(None, true).await?;
         Ok(Arc::new(jobs))
     }

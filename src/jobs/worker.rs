@@ -2,8 +2,11 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use futures_util::future::BoxFuture;
+use serde_json::Value;
 use tokio::runtime::Handle;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
@@ -11,17 +14,18 @@ use tokio::time::{MissedTickBehavior, interval, sleep, sleep_until};
 use tracing::Instrument;
 
 use super::Jobs;
-use super::files::{self, Manifest};
+use super::apart;
+use super::files::{self, Files};
 use super::hub::Reporter;
 use super::queue::{AttemptEnd, Claim, HeartbeatReply, canceled};
 use super::record::{ArtifactEntry, JobError, JobState};
 use super::slots::Slot;
 use super::stored_options;
-use crate::context::{Context, Timing};
+use crate::asset::{File, Limits};
+use crate::context::{Context, Listener, Progress, Timing};
 use crate::error::{Code, Failure, Result, Warning};
 use crate::metrics::Unmet;
-use crate::refine::options::Options;
-use crate::refine::run::{self, Input};
+use crate::refine::run::{self, Artifact, Input};
 
 /// The lease is renewed, and progress stored, so many times while it lasts.
 const HEARTBEATS_PER_LEASE: u32 = 15;
@@ -33,8 +37,35 @@ const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(5);
 const SWEEP_EVERY: u32 = 720;
 /// Work that was told to stop and has not by then is left to itself: its result will not count.
 const ABANDON_AFTER: Duration = Duration::from_millis(500);
+/// How long to wait before the first tries to do again what the machine does not let be done, and before all later ones.
+const BACKOFF: [Duration; 3] = [Duration::from_millis(200), Duration::from_millis(500), Duration::from_secs(1)];
+const LONGEST_WAIT: Duration = Duration::from_secs(2);
+
+/// What the computing of a job gave.
+pub(super) struct Computed {
+    /// The files of the result, and the requirements that are not met.
+    pub(super) result: Result<(Vec<Artifact>, Vec<Unmet>)>,
+    /// All warnings.
+    pub(super) warnings: Vec<Warning>,
+    /// Seconds by stage.
+    pub(super) timings: Vec<Timing>,
+}
+
+impl Computed {
+    /// Nothing came of it.
+    pub(super) fn failed(failure: Failure) -> Self {
+        Computed { result: Err(failure), warnings: Vec::new(), timings: Vec::new() }
+    }
+}
 
 /// What came of an attempt.
+enum Attempt {
+    /// It ended; its result is stored.
+    Ended(Computation),
+    /// Its own process died.
+    Died,
+}
+
 struct Computation {
     result: Result<(Vec<ArtifactEntry>, Vec<Unmet>)>,
     /// All of them; `None` where only those are known that were reported on the way.
@@ -47,7 +78,8 @@ impl Jobs {
     pub async fn work(self: Arc<Self>) {
         let mut running = JoinSet::new();
         while !self.shutdown.is_cancelled() {
-            let claimed = match self.slots.capacity() {
+            // What cannot be stored is not begun.
+            let claimed = match self.slots.capacity().filter(|_| self.ready().is_ok()) {
                 Some(capacity) => self.queue.claim(self.files.owner(), self.lease, capacity).await,
                 None => Ok(None),
             };
@@ -78,7 +110,10 @@ impl Jobs {
             if self.shutdown.is_cancelled() {
                 break;
             }
-            if let Err(failure) = self.maintain(round % SWEEP_EVERY == 0).await {
+            if self.ready().is_ok()
+                && let Err(failure) = self.maintain(round % SWEEP_EVERY == 0).await
+                && !failure.is_of_the_machine()
+            {
                 tracing::error!(%failure, "maintenance failed");
             }
             tokio::select! {
@@ -96,13 +131,13 @@ impl Jobs {
         {
             let (jobs, claim, reporter) = (self.clone(), claim.clone(), reporter.clone());
             let (runtime, span) = (Handle::current(), tracing::Span::current());
-            slot.spawn(move || drop(done.send(span.in_scope(|| compute(&jobs, &claim, reporter, &runtime)))));
+            slot.spawn(move || drop(done.send(span.in_scope(|| compute(&jobs, &claim, &reporter, &runtime)))));
         }
         let mut ticks = interval(self.lease / HEARTBEATS_PER_LEASE);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         // When it is told to stop because the service does, and when it is waited for no longer because its user wants it to.
         let (mut release_at, mut abandon_at) = (None, None);
-        let computation = loop {
+        let attempt = loop {
             let at = |deadline: Option<tokio::time::Instant>| async move {
                 match deadline {
                     Some(deadline) => sleep_until(deadline).await,
@@ -110,7 +145,7 @@ impl Jobs {
                 }
             };
             tokio::select! {
-                computation = &mut result => break computation.unwrap_or_else(|_| Computation::failed(Failure::internal("the computation was lost"))),
+                attempt = &mut result => break attempt.unwrap_or_else(|_| Attempt::failed(Failure::internal("the computation was lost"))),
                 () = async { tokio::select! { _ = ticks.tick() => {}, () = reporter.ahead.notified() => {} } } => {
                     let status = reporter.status();
                     match self.queue.heartbeat(&claim, self.lease, &status).await {
@@ -125,7 +160,7 @@ impl Jobs {
                 }
                 () = at(abandon_at) => {
                     tracing::warn!("the computation did not stop in time; it is left to itself");
-                    break Computation::failed(Failure::new(Code::Canceled, "the job was cancelled"));
+                    break Attempt::failed(Failure::new(Code::Canceled, "the job was cancelled"));
                 }
                 () = self.shutdown.cancelled(), if release_at.is_none() => {
                     release_at = Some(tokio::time::Instant::now() + self.grace);
@@ -133,7 +168,42 @@ impl Jobs {
                 () = at(release_at), if !reporter.stop.token.is_cancelled() => reporter.stop.trigger(),
             }
         };
-        self.publish(&claim, &reporter, computation, release_at.is_some(), started).await;
+        match attempt {
+            Attempt::Ended(computation) => {
+                self.publish(&claim, &reporter, computation, release_at.is_some(), started).await;
+            }
+            Attempt::Died => self.bury(&claim, &reporter).await,
+        }
+    }
+
+    /// Puts a job back whose own process died, or ends it; when the service goes down, that may be why it died.
+    async fn bury(&self, claim: &Claim, reporter: &Reporter) {
+        if self.shutdown.is_cancelled() && self.release(claim, reporter).await {
+            return;
+        }
+        let state = self.persistently(|| self.queue.died(claim)).await.flatten();
+        match state {
+            Some(JobState::Queued) => {
+                self.hub.requeued(&claim.id);
+                self.wake.notify_one();
+            }
+            Some(state) => {
+                tracing::error!(state = state.as_str(), "job ends: its process died again");
+                self.hub.ended(&claim.id, state);
+                self.files.remove_uploads(&claim.id);
+            }
+            None => {}
+        }
+    }
+
+    async fn release(&self, claim: &Claim, reporter: &Reporter) -> bool {
+        let progress = reporter.status().progress;
+        let released = self.persistently(|| self.queue.release(claim, &progress)).await == Some(true);
+        if released {
+            tracing::info!("job goes back to the queue");
+            self.hub.requeued(&claim.id);
+        }
+        released
     }
 
     async fn publish(
@@ -145,9 +215,7 @@ impl Jobs {
         started: Instant,
     ) {
         let stopped = matches!(&computation.result, Err(f) if f.code == Code::Canceled);
-        if stopping && stopped && self.queue.release(claim, &reporter.status().progress).await == Ok(true) {
-            tracing::info!("job goes back to the queue");
-            self.hub.requeued(&claim.id);
+        if stopping && stopped && self.release(claim, reporter).await {
             return;
         }
         let mut end = attempt_end(reporter, computation);
@@ -176,21 +244,35 @@ impl Jobs {
         }
     }
 
-    /// Publishes, and tries again for a while when the queue fails: a result is expensive.
     async fn finish(&self, claim: &Claim, end: &AttemptEnd) -> bool {
-        for wait in [0, 1, 2, 4, 8] {
-            sleep(Duration::from_secs(wait)).await;
-            if let Ok(published) = self.queue.finish(claim, end, self.limits.keep_artifacts).await {
-                return published;
+        let keep = self.limits.keep_artifacts;
+        self.persistently(|| self.queue.finish(claim, end, keep)).await == Some(true)
+    }
+
+    /// Does something with the queue, again and again while the machine is in trouble: a result is expensive. `None` when it fails for
+    /// another reason, or the service shuts down.
+    async fn persistently<'a, T>(&self, mut step: impl FnMut() -> BoxFuture<'a, Result<T>>) -> Option<T> {
+        for wait in BACKOFF.into_iter().chain(std::iter::repeat(LONGEST_WAIT)) {
+            match step().await {
+                Ok(done) => return Some(done),
+                Err(failure) if failure.is_of_the_machine() && !self.shutdown.is_cancelled() => {}
+                Err(failure) => {
+                    tracing::error!(%failure, "the end of this attempt cannot be stored; the job runs again");
+                    return None;
+                }
+            }
+            tokio::select! {
+                () = sleep(wait) => {}
+                () = self.shutdown.cancelled() => {}
             }
         }
-        false
+        None
     }
 }
 
-impl Computation {
+impl Attempt {
     fn failed(failure: Failure) -> Self {
-        Computation { result: Err(failure), warnings: None, timings: Vec::new() }
+        Attempt::Ended(Computation { result: Err(failure), warnings: None, timings: Vec::new() })
     }
 }
 
@@ -215,47 +297,107 @@ fn attempt_end(reporter: &Reporter, computation: Computation) -> AttemptEnd {
     }
 }
 
-/// The synchronous part, on the rayon pool.
-fn compute(jobs: &Jobs, claim: &Claim, reporter: Arc<Reporter>, runtime: &Handle) -> Computation {
-    let stop = reporter.stop.flag.clone();
-    let (options, ignored) = match stored_options::read(&claim.options) {
+/// The synchronous part, on the rayon pool: here, or in a process of its own.
+fn compute(jobs: &Jobs, claim: &Claim, reporter: &Arc<Reporter>, runtime: &Handle) -> Attempt {
+    let limits = (&jobs.limits).into();
+    let uploads = jobs.files.uploads(&claim.id);
+    let computed = if claim.suspect {
+        let request = apart::Request {
+            options: claim.options.clone(),
+            inputs: claim.inputs.clone(),
+            uploads,
+            results: jobs.files.incoming(&format!("{}.{}", claim.id, claim.attempt)),
+            limits,
+            threads: jobs.slots.threads(),
+        };
+        match patiently(reporter, || apart::compute(&claim.id, &request, reporter, runtime)) {
+            Ok(Some(computed)) => computed,
+            Ok(None) => return Attempt::Died,
+            Err(failure) => Computed::failed(failure),
+        }
+    } else {
+        let load = || patiently(reporter, || Files::load(&uploads, &claim.inputs));
+        refine(&claim.options, load, limits, reporter.clone(), reporter.stop.flag.clone())
+    };
+    let Computed { result, warnings, timings } = computed;
+    let stored = result.and_then(|(artifacts, failures)| {
+        let entries = patiently(reporter, || store(jobs, claim, &artifacts, runtime))?;
+        Ok((entries, failures))
+    });
+    Attempt::Ended(Computation { result: stored, warnings: Some(warnings), timings })
+}
+
+/// Computes a job from its stored options and what `load` reads.
+pub(super) fn refine(
+    options: &Value,
+    load: impl FnOnce() -> Result<Vec<Vec<File>>>,
+    limits: Limits,
+    listener: Arc<dyn Listener>,
+    stop: Arc<AtomicBool>,
+) -> Computed {
+    let (options, ignored) = match stored_options::read(options) {
         Ok(read) => read,
-        Err(failure) => return Computation::failed(failure),
+        Err(failure) => return Computed::failed(failure),
     };
     let limit = options.time_limit_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
-    let context = Context::new(reporter, stop, options.seed).with_time_limit(limit);
+    let context = Context::new(listener, stop, options.seed).with_time_limit(limit);
     ignored.into_iter().for_each(|warning| context.warn(warning));
-    let result = catch_panic(&claim.id, || refine_and_store(jobs, claim, &claim.inputs, &options, &context, runtime));
-    Computation { result, warnings: Some(context.warnings()), timings: context.timings() }
+    let result = catch_panic(|| {
+        let input = Input { models: load()?, limits, extras: true };
+        let outcome = run::refine(&input, &options, &context)?;
+        context.check()?;
+        Ok((outcome.artifacts, outcome.failures))
+    });
+    Computed { result, warnings: context.warnings(), timings: context.timings() }
 }
 
-/// A panic is a failure of this job and of nothing else.
-fn catch_panic<T>(job: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
-    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
-        tracing::error!(job, "the computation panicked");
-        Err(Failure::internal("Intarsia failed on this model; the fault is ours"))
-    })
-}
-
-fn refine_and_store(
-    jobs: &Jobs,
-    claim: &Claim,
-    manifest: &Manifest,
-    options: &Options,
-    context: &Context,
-    runtime: &Handle,
-) -> Result<(Vec<ArtifactEntry>, Vec<Unmet>)> {
-    let input = Input { models: jobs.files.load(&claim.id, manifest)?, limits: (&jobs.limits).into(), extras: true };
-    let outcome = run::refine(&input, options, context)?;
-    drop(input);
-    context.check()?;
-    let entries = files::entries(&claim.id, &outcome.artifacts);
+/// Stores the files of a result, so that they can be published.
+fn store(jobs: &Jobs, claim: &Claim, artifacts: &[Artifact], runtime: &Handle) -> Result<Vec<ArtifactEntry>> {
+    let entries = files::entries(&claim.id, artifacts);
     let objects: Vec<String> = entries.iter().map(|e| e.sha256.clone()).collect();
     if !runtime.block_on(jobs.queue.reserve(claim, &objects))? {
         return Err(Failure::new(Code::Canceled, "the job was taken from this worker"));
     }
-    jobs.files.store(&entries, &outcome.artifacts)?;
-    Ok((entries, outcome.failures))
+    jobs.files.store(&entries, artifacts)?;
+    Ok(entries)
+}
+
+/// Does a step again and again while the machine is in trouble, until it is told to stop: the job waits, and its user sees why.
+fn patiently<T>(reporter: &Reporter, mut step: impl FnMut() -> Result<T>) -> Result<T> {
+    let mut waited = false;
+    for wait in BACKOFF.into_iter().chain(std::iter::repeat(LONGEST_WAIT)) {
+        let failure = match step() {
+            Err(failure) if failure.is_of_the_machine() => failure,
+            done => {
+                if waited {
+                    tracing::info!("job goes on");
+                }
+                return done;
+            }
+        };
+        if !waited {
+            tracing::warn!(%failure, "job waits until the machine's trouble is over");
+        }
+        waited = true;
+        let message = format!("waits: {}", failure.message);
+        reporter.progress(&Progress { message, ..reporter.status().progress });
+        let until = Instant::now() + wait;
+        while Instant::now() < until {
+            if reporter.stop.flag.load(Ordering::Relaxed) {
+                return Err(Failure::new(Code::Canceled, "the job was cancelled"));
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+    Err(Failure::internal("the machine's trouble never ends"))
+}
+
+/// A panic is a failure of this job and of nothing else.
+fn catch_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+        tracing::error!("the computation panicked");
+        Err(Failure::internal("Intarsia failed on this model; the fault is ours"))
+    })
 }
 
 #[cfg(test)]
@@ -264,9 +406,9 @@ mod tests {
 
     #[test]
     fn a_panic_is_a_failure_of_ours() {
-        let failure = catch_panic::<()>("j", || panic!("as the test wants")).unwrap_err();
+        let failure = catch_panic::<()>(|| panic!("as the test wants")).unwrap_err();
         assert_eq!(failure.code, Code::Internal);
-        assert_eq!(catch_panic("j", || Ok(1)), Ok(1));
+        assert_eq!(catch_panic(|| Ok(1)), Ok(1));
     }
 
     #[test]

@@ -14,7 +14,10 @@ pub(in crate::jobs) async fn suite<Q: Queue + 'static>(mut make: impl AsyncFnMut
     every_job_is_claimed_once_and_in_order(Arc::new(make().await)).await;
     a_worker_that_lost_its_job_changes_nothing(&make().await).await;
     a_job_that_is_handed_back_keeps_its_turn(&make().await).await;
-    a_silent_worker_loses_its_job_which_waits_behind_the_others_and_is_given_up_at_the_second_time(&make().await).await;
+    a_silent_worker_loses_its_job_which_waits_behind_the_others_as_a_suspect(&make().await).await;
+    a_job_whose_own_process_dies_is_given_up_at_the_second_time(&make().await).await;
+    bytes_are_counted_while_they_are_stored(&make().await).await;
+    a_copy_holds_all_and_nothing_changes_while_it_is_made(&make().await).await;
     cancelling_waits_for_nobody_and_wins_over_a_late_result(&make().await).await;
     a_full_queue_takes_no_more_and_old_jobs_expire(&make().await).await;
     a_key_names_one_request(&make().await).await;
@@ -78,7 +81,7 @@ async fn a_worker_that_lost_its_job_changes_nothing(queue: &impl Queue) {
     submit(queue, "j").await;
     let stale = claim(queue, "a").await.unwrap();
     assert_eq!(queue.owners().await, Ok(vec!["a".to_owned()]));
-    assert_eq!(queue.recover(Some("a")).await.unwrap(), [("j".to_owned(), JobState::Queued)]);
+    assert_eq!(queue.recover(Some("a"), "me").await.unwrap(), [("j".to_owned(), JobState::Queued)]);
     let fresh = claim(queue, "b").await.unwrap();
     assert_eq!((stale.attempt, fresh.attempt), (1, 2));
     let now = AttemptStatus::default();
@@ -104,25 +107,70 @@ async fn a_job_that_is_handed_back_keeps_its_turn(queue: &impl Queue) {
     assert_eq!((again.id.as_str(), again.attempt, again.floor), ("a", 2, 0.5));
 }
 
-async fn a_silent_worker_loses_its_job_which_waits_behind_the_others_and_is_given_up_at_the_second_time(
-    queue: &impl Queue,
-) {
+async fn a_silent_worker_loses_its_job_which_waits_behind_the_others_as_a_suspect(queue: &impl Queue) {
     for id in ["j", "other"] {
         submit(queue, id).await;
     }
-    for death in 1..=MAX_DEATHS {
-        if death > 1 {
-            assert_eq!(claim(queue, "a").await.unwrap().id, "other");
+    let first = queue.claim("a", Duration::ZERO, Capacity::ANY).await.unwrap().unwrap();
+    assert_eq!((first.id.as_str(), first.suspect), ("j", false));
+    tokio::time::sleep(Duration::from_millis(5)).await;
+    assert_eq!(queue.recover(None, "a").await.unwrap(), [], "who asks is alive");
+    // However often a service dies, no job is given up for it.
+    for death in 1..=MAX_DEATHS + 2 {
+        assert_eq!(queue.recover(None, "b").await.unwrap(), [("j".to_owned(), JobState::Queued)]);
+        if death == 1 {
+            let other = claim(queue, "a").await.unwrap();
+            assert_eq!((other.id.as_str(), other.suspect), ("other", false));
         }
-        let claim = queue.claim("a", Duration::ZERO, Capacity::ANY).await.unwrap().unwrap();
-        assert_eq!((claim.id.as_str(), claim.attempt), ("j", death));
+        let again = queue.claim("a", Duration::ZERO, Capacity::ANY).await.unwrap().unwrap();
+        assert_eq!((again.id.as_str(), again.attempt, again.suspect), ("j", death + 1, true));
         tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+async fn a_job_whose_own_process_dies_is_given_up_at_the_second_time(queue: &impl Queue) {
+    submit(queue, "j").await;
+    for death in 1..=MAX_DEATHS {
+        let claim = claim(queue, "a").await.unwrap();
+        assert_eq!((claim.attempt, claim.suspect), (death, death > 1));
         let wanted = if death < MAX_DEATHS { JobState::Queued } else { JobState::Failed };
-        assert_eq!(queue.recover(None).await.unwrap(), [("j".to_owned(), wanted)]);
+        assert_eq!(queue.died(&claim).await, Ok(Some(wanted)));
+        assert_eq!(queue.died(&claim).await, Ok(None), "each death counts once");
     }
     let job = queue.get("j").await.unwrap().unwrap();
     assert_eq!(job.error.unwrap().code, Code::Internal);
     assert!(claim(queue, "a").await.is_none());
+    submit(queue, "k").await;
+    let running = claim(queue, "a").await.unwrap();
+    queue.cancel("k").await.unwrap();
+    assert_eq!(queue.died(&running).await, Ok(Some(JobState::Canceled)));
+}
+
+async fn bytes_are_counted_while_they_are_stored(queue: &impl Queue) {
+    for id in ["a", "b"] {
+        queue.submit(&NewJob { bytes: 10, ..new(id) }, 9).await.unwrap();
+    }
+    assert_eq!(queue.stored_bytes().await, Ok(StoredBytes { uploads: 20, artifacts: 0 }));
+    let first = claim(queue, "w").await.unwrap();
+    let end = AttemptEnd { artifacts: vec![entry("1"), entry("2")], ..ended(JobState::Succeeded) };
+    assert_eq!(queue.finish(&first, &end, Duration::ZERO).await, Ok(true));
+    assert_eq!(queue.stored_bytes().await, Ok(StoredBytes { uploads: 10, artifacts: 2 }));
+    queue.expire_artifacts().await.unwrap();
+    assert_eq!(queue.stored_bytes().await, Ok(StoredBytes { uploads: 10, artifacts: 0 }));
+}
+
+async fn a_copy_holds_all_and_nothing_changes_while_it_is_made(queue: &impl Queue) {
+    submit(queue, "j").await;
+    let folder = tempfile::tempdir().unwrap();
+    let ran = Mutex::new(false);
+    let meanwhile = || {
+        *ran.lock().unwrap() = true;
+        Ok(())
+    };
+    queue.copy(&folder.path().join("copy"), &meanwhile).await.unwrap();
+    assert!(*ran.lock().unwrap() && folder.path().join("copy").exists());
+    assert_eq!(queue.check(true).await, Ok(()));
+    assert!(claim(queue, "w").await.is_some(), "it goes on");
 }
 
 async fn cancelling_waits_for_nobody_and_wins_over_a_late_result(queue: &impl Queue) {
@@ -218,7 +266,7 @@ async fn objects_live_as_long_as_somebody_needs_them(queue: &impl Queue) {
     assert_eq!(queue.finish(&second, &end, Duration::ZERO).await, Ok(true));
     queue.collect(None, &[], UNEXPECTED).await.unwrap();
     // An attempt that died leaves what others need.
-    assert_eq!(queue.recover(Some("w")).await.unwrap(), [("a".to_owned(), JobState::Queued)]);
+    assert_eq!(queue.recover(Some("w"), "me").await.unwrap(), [("a".to_owned(), JobState::Queued)]);
     queue.collect(Some("a"), &[], &remove).await.unwrap();
     assert_eq!(std::mem::take(&mut *removed.lock().unwrap()), ["1"]);
     // A result goes when it expires.
@@ -236,7 +284,7 @@ async fn progress_stages_and_warnings_are_kept(queue: &impl Queue) {
     queue.heartbeat(&claim, LEASE, &now).await.unwrap();
     let job = queue.get("j").await.unwrap().unwrap();
     assert_eq!((job.progress, job.stages, job.warnings), (now.progress, now.stages, now.warnings));
-    queue.recover(Some("w")).await.unwrap();
+    queue.recover(Some("w"), "me").await.unwrap();
     let job = queue.get("j").await.unwrap().unwrap();
     assert_eq!((job.state, job.progress.fraction), (JobState::Queued, 0.25 + MAX_PROGRESS_LEAD));
 }

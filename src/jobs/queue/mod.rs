@@ -8,6 +8,7 @@
 pub(super) mod conformance;
 pub mod sqlite;
 
+use std::path::Path;
 use std::time::Duration;
 
 use async_trait::async_trait;
@@ -18,14 +19,16 @@ use super::record::{ArtifactEntry, Job, JobError, JobState, Timestamp};
 use crate::context::{Progress, Timing};
 use crate::error::{Code, Failure, Result, Warning};
 
-/// Attempts that may die before a job is given up: one that kills its worker twice does so always.
+/// Deaths of a job's own process before it is given up: what kills its process twice does so always. That the service itself dies counts
+/// against nobody.
 pub const MAX_DEATHS: u32 = 2;
 
 /// How far the fraction that users see may be ahead of what is stored: when a worker dies, its job goes on from there, so that the
 /// fraction never falls.
 pub const MAX_PROGRESS_LEAD: f64 = 0.2;
 
-/// A durable queue of jobs. Every method fails with `internal` when the backend does.
+/// A durable queue of jobs. Every method fails with `insufficient_storage` or
+/// `unavailable` when the backend does.
 #[async_trait]
 pub trait Queue: Send + Sync {
     /// What tells this store from all others, for as long as it lives: 128 random bits in hexadecimal digits.
@@ -68,9 +71,23 @@ pub trait Queue: Send + Sync {
     /// Deletes a job. False when there is none.
     async fn delete(&self, id: &str) -> Result<bool>;
 
-    /// Takes back the running jobs of `owner`, if one is named, and those whose lease ran out. Returns them with their new states:
-    /// queued, behind all that wait and with [`MAX_PROGRESS_LEAD`] more than the stored fraction, or final after [`MAX_DEATHS`].
-    async fn recover(&self, owner: Option<&str>) -> Result<Vec<(String, JobState)>>;
+    /// Takes back the running jobs of `owner`, if one is named, and those whose lease ran out, but for those of `living`, which is the
+    /// caller and knows better. Returns them with their new states: cancelled where their user wanted that, else queued as suspects, behind
+    /// all that wait and with [`MAX_PROGRESS_LEAD`] more than the stored fraction.
+    async fn recover(&self, owner: Option<&str>, living: &str) -> Result<Vec<(String, JobState)>>;
+
+    /// Notes that the attempt's own process died, and puts the job back as [`Queue::recover`] does, or ends it after [`MAX_DEATHS`].
+    /// `None` when it is not the worker's any more.
+    async fn died(&self, claim: &Claim) -> Result<Option<JobState>>;
+
+    /// Bytes of the uploads of jobs that wait or run, and of all results that are kept.
+    async fn stored_bytes(&self) -> Result<StoredBytes>;
+
+    /// Whether the queue is where and what it was, and can be read and written; `deep` reads all of it.
+    async fn check(&self, deep: bool) -> Result<()>;
+
+    /// Writes a copy of the queue to the file `to`, which must not exist, as of a moment at which `meanwhile` runs and nothing changes.
+    async fn copy(&self, to: &Path, meanwhile: &(dyn Fn() -> Result<()> + Send + Sync)) -> Result<()>;
 
     /// The workers that hold jobs.
     async fn owners(&self) -> Result<Vec<String>>;
@@ -106,6 +123,8 @@ pub struct NewJob {
     pub inputs: Manifest,
     /// Bytes that it is expected to need.
     pub memory: u64,
+    /// Bytes of its upload.
+    pub bytes: u64,
     /// The client's key and the fingerprint of its request.
     pub key: Option<(String, String)>,
     /// The request that brought it.
@@ -156,6 +175,17 @@ pub struct Claim {
     pub memory: u64,
     /// The request that brought it.
     pub request: Option<String>,
+    /// Whether a process died while it computed this job: it runs in a process of its own.
+    pub suspect: bool,
+}
+
+/// What jobs take of the disk. A file that several jobs have counts for each.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct StoredBytes {
+    /// Uploads of jobs that wait or run.
+    pub uploads: u64,
+    /// Artifacts that are kept.
+    pub artifacts: u64,
 }
 
 /// Where an attempt stands.
@@ -220,7 +250,9 @@ pub(super) fn canceled() -> JobError {
 
 /// The error of a job that was given up.
 pub(super) fn given_up() -> JobError {
-    JobError::from(Failure::internal(format!("the process that computed this job died {MAX_DEATHS} times")))
+    JobError::from(Failure::internal(format!(
+        "the process that computed this job, and nothing else, died {MAX_DEATHS} times: Intarsia fails on this model, or it needs more memory than there is"
+    )))
 }
 
 /// What another request under a known key is answered.

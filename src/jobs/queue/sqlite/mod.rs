@@ -4,6 +4,7 @@ mod migrations;
 mod rows;
 
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
@@ -11,16 +12,17 @@ use serde_json::Value;
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteRow, SqliteSynchronous,
 };
-use sqlx::{AssertSqlSafe, Row};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
 
 use self::migrations::MIGRATIONS;
 use self::rows::{job, json, parsed, states};
 use super::{
     AttemptEnd, AttemptStatus, CancelReply, Capacity, Claim, HeartbeatReply, MAX_DEATHS, MAX_PROGRESS_LEAD, NewJob,
-    Queue, Remove, Submitted, canceled, given_up, mismatch, queue_full,
+    Queue, Remove, StoredBytes, Submitted, canceled, given_up, mismatch, queue_full,
 };
 use crate::context::Progress;
-use crate::error::{Failure, Result};
+use crate::error::{Code, Failure, Result};
+use crate::jobs::files::disk;
 use crate::jobs::record::{Job, JobState, Timestamp};
 
 /// The place of a job among those that wait: 1 is next.
@@ -28,33 +30,105 @@ const POSITION: &str = "CASE state WHEN 'queued' THEN (SELECT count(*) FROM jobs
   WHERE other.state = 'queued' AND (other.turn, other.seq) <= (jobs.turn, jobs.seq)) END AS position";
 
 /// The queue.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Sqlite {
     pool: SqlitePool,
     /// For heartbeats. They need not survive a loss of power, and hold the database's lock only for as long as it takes to write to
     /// the page cache: a process that is stopped in the middle of one would keep all others waiting.
     heartbeats: SqlitePool,
+    options: SqliteConnectOptions,
+    /// Which file it was when it was opened.
+    file: FileId,
+    /// Whether what a removed file held has been written beside it.
+    rescued: AtomicBool,
+}
+
+/// What tells a file from another of its name: volume and number, where the system has them.
+type FileId = Option<(u64, u64)>;
+
+fn file_id(path: &Path) -> std::io::Result<FileId> {
+    let found = std::fs::metadata(path)?;
+    #[cfg(unix)]
+    return Ok(Some((std::os::unix::fs::MetadataExt::dev(&found), std::os::unix::fs::MetadataExt::ino(&found))));
+    #[cfg(not(unix))]
+    Ok(found.is_file().then_some((0, 0)))
 }
 
 impl Sqlite {
     /// Opens the database, or makes it. One of an earlier version is copied, then migrated ([`migrations`]).
     ///
     /// # Errors
-    /// `internal`: the disk, or a database of a version that this program does not know.
+    /// `insufficient_storage`, `unavailable`: the disk, or a file that is damaged; `internal`: a database of a version that this program
+    /// does not know.
     pub async fn open(path: &Path) -> Result<Self> {
+        Self::open_file(path).await.map_err(|failure| {
+            let hint = if failure.is_of_the_machine() {
+                "; nothing was changed: put a copy from a backup in its place, or move it away to begin a new queue"
+            } else {
+                ""
+            };
+            Failure { message: format!("{}: {}{hint}", path.display(), failure.message), ..failure }
+        })
+    }
+
+    async fn open_file(path: &Path) -> Result<Self> {
         let options = SqliteConnectOptions::new().filename(path).busy_timeout(Duration::from_secs(20));
         migrations::check(&options, MIGRATIONS).await?;
         let options = options
-            .create_if_missing(true)
             .journal_mode(SqliteJournalMode::Wal)
             // A job is acknowledged only when it would survive a loss of power.
             .synchronous(SqliteSynchronous::Full);
-        let pool = SqlitePoolOptions::new().max_connections(4).connect_with(options.clone()).await?;
+        options.clone().create_if_missing(true).connect().await?.close().await?;
+        // One connection is always open: where the file is removed under the service, it still has the contents.
+        let pool = SqlitePoolOptions::new().max_connections(4).min_connections(1).idle_timeout(None).max_lifetime(None);
+        let pool = pool.connect_with(options.clone()).await?;
         migrations::migrate(&pool, path, MIGRATIONS).await?;
-        let heartbeats = options.synchronous(SqliteSynchronous::Normal);
-        let heartbeats = SqlitePoolOptions::new().max_connections(1).connect_lazy_with(heartbeats);
-        Ok(Sqlite { pool, heartbeats })
+        let file = file_id(path).map_err(|e| disk(path, &e))?;
+        let heartbeats = options.clone().synchronous(SqliteSynchronous::Normal);
+        let heartbeats = SqlitePoolOptions::new().max_connections(1).idle_timeout(None).connect_lazy_with(heartbeats);
+        Ok(Sqlite { pool, heartbeats, options, file, rescued: AtomicBool::new(false) })
     }
+
+    /// The connections for what writes: a file that is no longer the queue's would take it without complaint.
+    fn pool(&self) -> Result<&SqlitePool> {
+        let path = self.options.get_filename();
+        match file_id(path) {
+            Ok(found) if found == self.file => Ok(&self.pool),
+            Ok(_) => Err(unavailable(&format!(
+                "{} was replaced while the service runs: stop it, put the right file there, start it again",
+                path.display()
+            ))),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Err(unavailable(&format!(
+                "{} was removed while the service runs: stop it, rename {} to it, start it again",
+                path.display(),
+                rescue_path(path).display()
+            ))),
+            Err(e) => Err(disk(path, &e)),
+        }
+    }
+
+    /// Writes what a file held that was removed or replaced beside its place, once.
+    async fn rescue(&self) {
+        let to = rescue_path(self.options.get_filename());
+        if !self.rescued.load(Ordering::Relaxed) {
+            match migrations::copy(&self.pool, &to).await {
+                Ok(()) => {
+                    self.rescued.store(true, Ordering::Relaxed);
+                    tracing::error!(
+                        "the file of the job queue is gone from its place; what it held was written to {}",
+                        to.display()
+                    );
+                }
+                Err(failure) => {
+                    tracing::error!(%failure, "what the removed file of the job queue held cannot be written to {}", to.display())
+                }
+            }
+        }
+    }
+}
+
+fn rescue_path(path: &Path) -> std::path::PathBuf {
+    path.with_extension("sqlite.rescued")
 }
 
 #[async_trait]
@@ -66,28 +140,32 @@ impl Queue for Sqlite {
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted> {
         let (key, fingerprint) = job.key.as_ref().map(|(k, f)| (k.as_str(), f.as_str())).unzip();
         let done = sqlx::query(
-            "INSERT INTO jobs (id, state, turn, options, inputs, memory, key, fingerprint, request, created_at, queued_at, progress)
-             SELECT ?1, 'queued', (SELECT coalesce(max(turn), 0) + 1 FROM jobs WHERE state = 'queued'), ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8, ?10
+            "INSERT INTO jobs (id, state, turn, options, inputs, memory, key, fingerprint, request, created_at, queued_at, progress,
+               upload_bytes)
+             SELECT ?1, 'queued', (SELECT coalesce(max(turn), 0) + 1 FROM jobs WHERE state = 'queued'), ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8, ?10, ?11
              WHERE (SELECT count(*) FROM jobs WHERE state = 'queued') < ?9
              ON CONFLICT (key) DO NOTHING",
         )
         .bind(&job.id)
         .bind(job.options.to_string())
         .bind(json(&job.inputs)?)
-        .bind(i64::try_from(job.memory).unwrap_or(i64::MAX))
+        .bind(integer(job.memory))
         .bind(key)
         .bind(fingerprint)
         .bind(&job.request)
         .bind(Timestamp::now().0)
         .bind(most)
         .bind(json(&Progress::default())?)
-        .execute(&self.pool)
+        .bind(integer(job.bytes))
+        .execute(self.pool()?)
         .await?;
         if done.rows_affected() > 0 {
             return Ok(Submitted::New);
         }
-        let known =
-            sqlx::query("SELECT id, fingerprint FROM jobs WHERE key = ?1").bind(key).fetch_optional(&self.pool).await?;
+        let known = sqlx::query("SELECT id, fingerprint FROM jobs WHERE key = ?1")
+            .bind(key)
+            .fetch_optional(self.pool()?)
+            .await?;
         let Some(row) = known else { return Err(queue_full()) };
         let before: Option<String> = row.try_get(1)?;
         if before.as_deref() == fingerprint { Ok(Submitted::Known(row.try_get(0)?)) } else { Err(mismatch()) }
@@ -125,7 +203,6 @@ impl Queue for Sqlite {
 
     async fn claim(&self, owner: &str, lease: Duration, capacity: Capacity) -> Result<Option<Claim>> {
         let now = Timestamp::now();
-        let bytes = |n: u64| i64::try_from(n).unwrap_or(i64::MAX);
         let rows = sqlx::query(
             "UPDATE jobs SET state = 'running', attempt = attempt + 1, owner = ?1, lease_until = ?2, started_at = ?3,
                warnings = '[]', timings = '[]', stages = '[]'
@@ -134,16 +211,16 @@ impl Queue for Sqlite {
                  AND NOT EXISTS (SELECT 1 FROM jobs first WHERE first.state = 'queued'
                    AND (first.turn, first.seq) < (own.turn, own.seq) AND min(first.memory, ?4) > ?5 AND first.queued_at < ?7)
                ORDER BY turn, seq LIMIT 1)
-             RETURNING id, attempt, options, inputs, progress, memory, request",
+             RETURNING id, attempt, options, inputs, progress, memory, request, suspect",
         )
         .bind(owner)
         .bind(now.plus(lease).0)
         .bind(now.0)
-        .bind(bytes(capacity.total))
-        .bind(bytes(capacity.free))
-        .bind(bytes(capacity.most))
+        .bind(integer(capacity.total))
+        .bind(integer(capacity.free))
+        .bind(integer(capacity.most))
         .bind(now.minus(capacity.patience).0)
-        .fetch_all(&self.pool)
+        .fetch_all(self.pool()?)
         .await?;
         let Some(row) = rows.first() else { return Ok(None) };
         let progress: Value = parsed(row, "progress")?;
@@ -155,6 +232,7 @@ impl Queue for Sqlite {
             floor: progress.get("fraction").and_then(Value::as_f64).unwrap_or(0.0),
             memory: row.try_get::<i64, _>("memory")?.unsigned_abs(),
             request: row.try_get("request")?,
+            suspect: row.try_get("suspect")?,
         }))
     }
 
@@ -179,7 +257,7 @@ impl Queue for Sqlite {
     }
 
     async fn reserve(&self, claim: &Claim, objects: &[String]) -> Result<bool> {
-        let mut step = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut step = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
         let held = sqlx::query(
             "SELECT 1 FROM jobs WHERE id = ?1 AND attempt = ?2 AND state = 'running' AND cancel_requested = 0",
         )
@@ -206,7 +284,7 @@ impl Queue for Sqlite {
         let now = Timestamp::now();
         let done = sqlx::query(
             "UPDATE jobs SET state = ?3, finished_at = ?4, artifacts_expire_at = ?5, progress = ?6, timings = ?7, warnings = ?8,
-               error = ?9, artifacts = ?10, stages = ?11, owner = NULL, lease_until = NULL
+               error = ?9, artifacts = ?10, stages = ?11, artifact_bytes = ?12, owner = NULL, lease_until = NULL
              WHERE id = ?1 AND attempt = ?2 AND state = 'running' AND (cancel_requested = 0 OR ?3 = 'canceled')",
         )
         .bind(&claim.id)
@@ -220,7 +298,8 @@ impl Queue for Sqlite {
         .bind(end.error.as_ref().map(json).transpose()?)
         .bind(json(&end.artifacts)?)
         .bind(json(&end.status.stages)?)
-        .execute(&self.pool)
+        .bind(integer(end.artifacts.iter().map(|a| a.bytes).sum()))
+        .execute(self.pool()?)
         .await?;
         Ok(done.rows_affected() > 0)
     }
@@ -234,7 +313,7 @@ impl Queue for Sqlite {
         .bind(claim.attempt)
         .bind(json(progress)?)
         .bind(Timestamp::now().0)
-        .execute(&self.pool)
+        .execute(self.pool()?)
         .await?;
         Ok(done.rows_affected() > 0)
     }
@@ -249,40 +328,111 @@ impl Queue for Sqlite {
         .bind(id)
         .bind(Timestamp::now().0)
         .bind(json(&canceled())?)
-        .fetch_all(&self.pool)
+        .fetch_all(self.pool()?)
         .await?;
         if let Some(row) = rows.first() {
             let state: String = row.try_get(0)?;
             return Ok(if state == "running" { CancelReply::Asked } else { CancelReply::AtOnce });
         }
-        let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?1").bind(id).fetch_optional(&self.pool).await?;
+        let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?1").bind(id).fetch_optional(self.pool()?).await?;
         Ok(if known.is_some() { CancelReply::Final } else { CancelReply::Unknown })
     }
 
     async fn delete(&self, id: &str) -> Result<bool> {
-        let done = sqlx::query("DELETE FROM jobs WHERE id = ?1").bind(id).execute(&self.pool).await?;
+        let done = sqlx::query("DELETE FROM jobs WHERE id = ?1").bind(id).execute(self.pool()?).await?;
         Ok(done.rows_affected() > 0)
     }
 
-    async fn recover(&self, owner: Option<&str>) -> Result<Vec<(String, JobState)>> {
+    async fn recover(&self, owner: Option<&str>, living: &str) -> Result<Vec<(String, JobState)>> {
         let rows = sqlx::query(
-            "UPDATE jobs SET deaths = deaths + 1, owner = NULL, lease_until = NULL, queued_at = ?3,
+            "UPDATE jobs SET suspect = 1, owner = NULL, lease_until = NULL, queued_at = ?2,
                turn = (SELECT coalesce(max(turn), 0) + 1 FROM jobs),
-               progress = json_set(progress, '$.fraction', min(0.99, json_extract(progress, '$.fraction') + ?6)),
-               state = CASE WHEN cancel_requested THEN 'canceled' WHEN deaths + 1 >= ?2 THEN 'failed' ELSE 'queued' END,
-               finished_at = CASE WHEN cancel_requested OR deaths + 1 >= ?2 THEN ?3 END,
-               error = CASE WHEN cancel_requested THEN ?5 WHEN deaths + 1 >= ?2 THEN ?4 END
-             WHERE state = 'running' AND (owner = ?1 OR lease_until < ?3) RETURNING id, state",
+               progress = json_set(progress, '$.fraction', min(0.99, json_extract(progress, '$.fraction') + ?4)),
+               state = CASE WHEN cancel_requested THEN 'canceled' ELSE 'queued' END,
+               finished_at = CASE WHEN cancel_requested THEN ?2 END,
+               error = CASE WHEN cancel_requested THEN ?3 END
+             WHERE state = 'running' AND (owner = ?1 OR (lease_until < ?2 AND owner IS NOT ?5)) RETURNING id, state",
         )
         .bind(owner)
-        .bind(MAX_DEATHS)
         .bind(Timestamp::now().0)
+        .bind(json(&canceled())?)
+        .bind(MAX_PROGRESS_LEAD)
+        .bind(living)
+        .fetch_all(self.pool()?)
+        .await?;
+        states(&rows)
+    }
+
+    async fn died(&self, claim: &Claim) -> Result<Option<JobState>> {
+        let rows = sqlx::query(
+            "UPDATE jobs SET suspect = 1, deaths = deaths + 1, owner = NULL, lease_until = NULL, queued_at = ?3,
+               turn = (SELECT coalesce(max(turn), 0) + 1 FROM jobs),
+               progress = json_set(progress, '$.fraction', min(0.99, json_extract(progress, '$.fraction') + ?7)),
+               state = CASE WHEN cancel_requested THEN 'canceled' WHEN deaths + 1 >= ?4 THEN 'failed' ELSE 'queued' END,
+               finished_at = CASE WHEN cancel_requested OR deaths + 1 >= ?4 THEN ?3 END,
+               error = CASE WHEN cancel_requested THEN ?6 WHEN deaths + 1 >= ?4 THEN ?5 END
+             WHERE id = ?1 AND attempt = ?2 AND state = 'running' RETURNING id, state",
+        )
+        .bind(&claim.id)
+        .bind(claim.attempt)
+        .bind(Timestamp::now().0)
+        .bind(MAX_DEATHS)
         .bind(json(&given_up())?)
         .bind(json(&canceled())?)
         .bind(MAX_PROGRESS_LEAD)
-        .fetch_all(&self.pool)
+        .fetch_all(self.pool()?)
         .await?;
-        states(&rows)
+        Ok(states(&rows)?.pop().map(|(_, state)| state))
+    }
+
+    async fn stored_bytes(&self) -> Result<StoredBytes> {
+        let row = sqlx::query(
+            "SELECT (SELECT coalesce(sum(upload_bytes), 0) FROM jobs WHERE state IN ('queued', 'running')),
+               (SELECT coalesce(sum(artifact_bytes), 0) FROM jobs WHERE artifacts_removed = 0)",
+        )
+        .fetch_one(&self.pool)
+        .await?;
+        let bytes = |column: usize| Ok::<_, Failure>(row.try_get::<i64, _>(column)?.unsigned_abs());
+        Ok(StoredBytes { uploads: bytes(0)?, artifacts: bytes(1)? })
+    }
+
+    async fn check(&self, deep: bool) -> Result<()> {
+        if let Err(failure) = self.pool() {
+            self.rescue().await;
+            return Err(failure);
+        }
+        self.rescued.store(false, Ordering::Relaxed);
+        // A connection of its own, which knows nothing from before.
+        let mut reader = self.options.clone().read_only(true).connect().await?;
+        let found = async {
+            let identity: String =
+                sqlx::query("SELECT identity FROM store").fetch_one(&mut reader).await?.try_get(0)?;
+            if identity != self.identity().await? {
+                return Err(unavailable(
+                    "the file of the job queue holds another queue: stop the service, put the right file there, start it again",
+                ));
+            }
+            if deep {
+                let said: String = sqlx::query("PRAGMA quick_check(1)").fetch_one(&mut reader).await?.try_get(0)?;
+                if said != "ok" {
+                    tracing::debug!(said, "the queue is damaged");
+                    return Err(unavailable(DAMAGED));
+                }
+            }
+            Ok(())
+        };
+        let found = found.await;
+        reader.close().await?;
+        found?;
+        sqlx::query("UPDATE store SET identity = identity").execute(&self.heartbeats).await?;
+        Ok(())
+    }
+
+    async fn copy(&self, to: &Path, meanwhile: &(dyn Fn() -> Result<()> + Send + Sync)) -> Result<()> {
+        // Nobody can write until this is dropped.
+        let _still = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
+        migrations::copy(&self.pool, to).await?;
+        meanwhile()
     }
 
     async fn owners(&self) -> Result<Vec<String>> {
@@ -298,7 +448,7 @@ impl Queue for Sqlite {
         )
         .bind(before.0)
         .bind(Timestamp::now().0)
-        .fetch_all(&self.pool)
+        .fetch_all(self.pool()?)
         .await?;
         states(&rows)
     }
@@ -308,7 +458,7 @@ impl Queue for Sqlite {
             "UPDATE jobs SET artifacts_removed = 1 WHERE artifacts_removed = 0 AND artifacts_expire_at <= ?1 RETURNING id",
         )
         .bind(Timestamp::now().0)
-        .fetch_all(&self.pool)
+        .fetch_all(self.pool()?)
         .await?;
         rows.iter().map(|row| Ok(row.try_get(0)?)).collect()
     }
@@ -318,7 +468,7 @@ impl Queue for Sqlite {
             "DELETE FROM jobs WHERE finished_at < ?1 AND (artifacts_removed = 1 OR artifacts_expire_at IS NULL)",
         )
         .bind(before.0)
-        .execute(&self.pool)
+        .execute(self.pool()?)
         .await?;
         Ok(done.rows_affected())
     }
@@ -333,7 +483,7 @@ impl Queue for Sqlite {
 
     async fn collect(&self, of: Option<&str>, present: &[String], remove: Remove<'_>) -> Result<()> {
         // Whoever wants to reserve an object waits until this step is done.
-        let mut step = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut step = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
         let rows = sqlx::query(
             "DELETE FROM objects WHERE (?1 IS NULL OR job = ?1) AND NOT EXISTS (
                SELECT 1 FROM jobs WHERE jobs.id = objects.job AND jobs.attempt = objects.attempt AND (jobs.state = 'running'
@@ -357,10 +507,32 @@ impl Queue for Sqlite {
     }
 }
 
+/// A number as a column holds it.
+fn integer(number: u64) -> i64 {
+    i64::try_from(number).unwrap_or(i64::MAX)
+}
+
+const DAMAGED: &str =
+    "the file of the job queue is damaged: stop the service, put a copy from a backup in its place, start it again";
+
+fn unavailable(why: &str) -> Failure {
+    Failure::new(Code::Unavailable, why)
+}
+
 impl From<sqlx::Error> for Failure {
+    /// The machine's trouble, which ends no job: the primary result codes of SQLite say which.
     fn from(error: sqlx::Error) -> Self {
-        tracing::error!(%error, "the queue failed");
-        Failure::internal("the job queue failed")
+        tracing::debug!(%error, "the queue failed");
+        let extended = error.as_database_error().and_then(|e| e.code()?.parse::<u32>().ok());
+        match (extended.map(|code| code & 0xFF), &error) {
+            (Some(13), _) => Failure::new(Code::InsufficientStorage, "the disk of the job queue is full"),
+            (Some(5 | 6), _) | (_, sqlx::Error::PoolTimedOut) => unavailable("the job queue is busy"),
+            (Some(8), _) => unavailable("the job queue cannot be written: its file or folder is read-only"),
+            (Some(11 | 26), _) => unavailable(DAMAGED),
+            (Some(10 | 14), _) | (_, sqlx::Error::Io(_)) => unavailable("the file of the job queue cannot be used"),
+            (Some(_), _) => unavailable(&format!("the job queue failed: {error}")),
+            _ => Failure::internal(format!("the job queue failed: {error}")),
+        }
     }
 }
 

@@ -24,6 +24,7 @@ pub(super) struct Migration {
 pub(super) const MIGRATIONS: &[Migration] = &[
     Migration { version: 2, sql: include_str!("2_jobs.sql") },
     Migration { version: 3, sql: include_str!("3_outcome_and_identity.sql") },
+    Migration { version: 4, sql: include_str!("4_suspects_and_bytes.sql") },
 ];
 
 /// Fails for a store that this program cannot use. It is only read: a newer version's stays as it is.
@@ -55,8 +56,9 @@ pub(super) async fn migrate(pool: &SqlitePool, path: &Path, migrations: &[Migrat
     let outstanding = outstanding(from, migrations)?;
     let Some(to) = outstanding.last().map(|m| m.version) else { return Ok(()) };
     if from > 0 {
-        let copy = copy(pool, path, from).await?;
-        tracing::info!(from, to, copy = %copy.display(), "migrating the job queue");
+        let kept = beside(path, &format!(".v{from}"));
+        copy(pool, &kept).await?;
+        tracing::info!(from, to, copy = %kept.display(), "migrating the job queue");
     }
     for migration in outstanding {
         sqlx::raw_sql(migration.sql).execute(&mut *step).await?;
@@ -87,17 +89,12 @@ fn outstanding(version: i64, migrations: &[Migration]) -> Result<&[Migration]> {
     Ok(migrations.get(migrations.partition_point(|m| m.version <= version)..).unwrap_or_default())
 }
 
-/// Copies the store as it is, with what is in its WAL, to a file beside it that has the version in its name. The caller holds the lock for
-/// writing, so that nothing comes in between the copy and the migration.
-async fn copy(pool: &SqlitePool, path: &Path, version: i64) -> Result<PathBuf> {
-    let path = std::path::absolute(path).map_err(|e| disk(path, &e))?;
-    let beside = |suffix: &str| {
-        let mut name = path.clone().into_os_string();
-        name.push(suffix);
-        PathBuf::from(name)
-    };
-    let (young, copy) = (beside(&format!(".v{version}.new")), beside(&format!(".v{version}")));
-    let failed = |e: io::Error| disk(&copy, &e);
+/// Copies the store as it is, with what is in its WAL, to a file that appears whole or not at all. The caller holds the lock for writing, so
+/// that nothing comes in between the copy and what it does next.
+pub(super) async fn copy(pool: &SqlitePool, to: &Path) -> Result<()> {
+    let to = std::path::absolute(to).map_err(|e| disk(to, &e))?;
+    let young = beside(&to, ".new");
+    let failed = |e: io::Error| disk(&to, &e);
     // What a process has left that died on the way.
     match tokio::fs::remove_file(&young).await {
         Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(failed(e)),
@@ -108,9 +105,15 @@ async fn copy(pool: &SqlitePool, path: &Path, version: i64) -> Result<PathBuf> {
     // SQLite does not sync what it vacuums into.
     let file = tokio::fs::File::options().write(true).open(&young).await.map_err(failed)?;
     file.sync_all().await.map_err(failed)?;
-    tokio::fs::rename(&young, &copy).await.map_err(failed)?;
-    sync_folder(path.parent().unwrap_or(&path)).map_err(failed)?;
-    Ok(copy)
+    tokio::fs::rename(&young, &to).await.map_err(failed)?;
+    sync_folder(to.parent().unwrap_or(&to)).map_err(failed)
+}
+
+/// The path with something after its name.
+fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.to_owned().into_os_string();
+    name.push(suffix);
+    PathBuf::from(name)
 }
 
 #[cfg(test)]

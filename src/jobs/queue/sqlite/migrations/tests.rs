@@ -149,7 +149,7 @@ async fn a_store_of_version_2_opens_with_all_its_jobs() {
     assert_eq!((error.code, error.failures[0].got), (Code::RequirementNotMet, Some(24.0)));
 
     // It goes on where it stood: those that ran come back, those that wait are claimed, keys are known.
-    let back = queue.recover(Some("worker")).await.unwrap();
+    let back = queue.recover(Some("worker"), "me").await.unwrap();
     assert_eq!(back, [("running".to_owned(), JobState::Queued), ("stopping".to_owned(), JobState::Canceled)]);
     for id in ["queued", "running"] {
         let claim = queue.claim("w", Duration::from_secs(60), Capacity::ANY).await.unwrap().unwrap();
@@ -183,7 +183,7 @@ async fn a_store_that_grew_is_as_a_new_one_and_each_is_itself() {
 
 #[tokio::test]
 async fn a_store_of_a_version_that_is_not_known_is_refused_and_stays_as_it_is() {
-    for (version, part) in [(99, "made by a newer version of Intarsia (schema 99, this one knows 3)"), (1, "too old")] {
+    for (version, part) in [(99, "made by a newer version of Intarsia (schema 99, this one knows 4)"), (1, "too old")] {
         let (root, path, mut other) = store_2().await;
         let sql = format!("PRAGMA user_version = {version}; PRAGMA wal_checkpoint(TRUNCATE)");
         sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut other).await.unwrap();
@@ -210,15 +210,15 @@ async fn of_many_that_open_a_store_one_migrates_it() {
         identities.insert(opening.await.unwrap());
     }
     assert_eq!(identities.len(), 1, "{identities:?}");
-    // One that came later would have copied a store of version 3.
-    assert_eq!((look(&path).await.0, look(&path.with_extension("sqlite.v2")).await.0), (3, 2));
+    // One that came later would have copied a store of version 4.
+    assert_eq!((look(&path).await.0, look(&path.with_extension("sqlite.v2")).await.0), (4, 2));
 }
 
 #[tokio::test]
 async fn a_migration_that_fails_leaves_store_and_copy() {
     let (root, path, _other) = store_2().await;
     let before = look(&path).await;
-    let broken = Migration { version: 4, sql: "DELETE FROM jobs; INSERT INTO jobs (state) VALUES (1);" };
+    let broken = Migration { version: 5, sql: "DELETE FROM jobs; INSERT INTO jobs (state) VALUES (1);" };
     let migrations = [MIGRATIONS, &[broken]].concat();
     let pool = SqlitePool::connect_with(SqliteConnectOptions::new().filename(&path)).await.unwrap();
     assert!(migrate(&pool, &path, &migrations).await.is_err());
