@@ -58,6 +58,10 @@ pub struct Serve {
     /// Origin that browsers may call from, or `*`; may be given several times.
     #[arg(long, env = "INTARSIA_ALLOW_ORIGIN", value_delimiter = ',')]
     pub allow_origin: Vec<String>,
+    /// Further name that the service answers to where it listens on this machine alone, such as one that a proxy keeps; may be given several
+    /// times.
+    #[arg(long, env = "INTARSIA_ALLOW_HOST", value_delimiter = ',')]
+    pub allow_host: Vec<String>,
     /// Let anybody list all jobs (GET /v1/jobs).
     #[arg(long, env = "INTARSIA_LIST_JOBS")]
     pub list_jobs: bool,
@@ -170,6 +174,9 @@ pub struct Limits {
     /// Bytes of all artifacts that are kept; where there are more, submissions are told to come back.
     #[arg(long, env = "INTARSIA_MAX_STORED", default_value = "100GiB", value_parser = parse_size)]
     pub max_stored: u64,
+    /// Bytes a second that an upload must send on average, from its twentieth second on.
+    #[arg(long, env = "INTARSIA_MIN_UPLOAD_RATE", default_value = "4KiB", value_parser = parse_size)]
+    pub min_upload_rate: u64,
     /// Jobs that wait; further ones are told to come back.
     #[arg(long, env = "INTARSIA_MAX_QUEUED", default_value_t = 1000)]
     pub max_queued: u32,

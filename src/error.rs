@@ -26,6 +26,8 @@ pub enum Code {
     InvalidRequest,
     /// The media type of a request is not supported (HTTP).
     UnsupportedMediaType,
+    /// Whoever asks may not (HTTP).
+    Forbidden,
     /// No such job, artifact or route (HTTP).
     NotFound,
     /// The artifact existed and has been removed (HTTP).
@@ -58,6 +60,7 @@ impl Code {
             Code::Canceled => "canceled",
             Code::InvalidRequest => "invalid_request",
             Code::UnsupportedMediaType => "unsupported_media_type",
+            Code::Forbidden => "forbidden",
             Code::NotFound => "not_found",
             Code::Gone => "gone",
             Code::Conflict => "conflict",

@@ -30,7 +30,7 @@ fn main() -> ExitCode {
         _ => eprintln!("error: {failure}"),
     }
     ExitCode::from(match failure.code {
-        Code::Internal | Code::Canceled => 1,
+        Code::Internal | Code::Canceled | Code::InsufficientStorage | Code::Unavailable => 1,
         Code::InvalidOptions | Code::InvalidRequest => 2,
         Code::RequirementNotMet => 4,
         _ => 3,

@@ -82,7 +82,7 @@ fn read_options(flags: &OptionFlags, output: Option<Output>) -> Result<Options> 
         let failed =
             |why: &dyn std::fmt::Display| Failure::new(Code::InvalidOptions, format!("{}: {why}", path.display()));
         let text = std::fs::read(path).map_err(|e| failed(&e))?;
-        value = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
+        value = parse::json(&text).map_err(|e| failed(&e))?;
     }
     let mut problems = match parse::command_line(value, flags, output) {
         Ok(options) => return Ok(options),

@@ -1,7 +1,7 @@
 //! `intarsia serve`: the HTTP service.
 
 use std::io::IsTerminal;
-use std::net::TcpListener;
+use std::net::{SocketAddr, TcpListener};
 use std::time::Duration;
 
 use axum_server::accept::NoDelayAcceptor;
@@ -10,6 +10,7 @@ use intarsia::config::{LogFormat, Serve};
 use intarsia::error::{Code, Failure, Result};
 use intarsia::http::App;
 use intarsia::http::router::router;
+use intarsia::http::sites::Sites;
 use intarsia::jobs::Jobs;
 use tokio::time::timeout;
 
@@ -38,8 +39,9 @@ async fn serve(arguments: &Serve) -> Result<()> {
     if let Err(error) = rlimit::increase_nofile_limit(u64::MAX) {
         tracing::warn!(%error, "the limit of open files stays as it is");
     }
+    let sites = Sites::new(&arguments.allow_origin, &arguments.allow_host, arguments.listen)?;
     let jobs = Jobs::open(&arguments.data_dir, &arguments.work, arguments.limits.clone(), &arguments.storage).await?;
-    let service = router(App::new(jobs.clone(), arguments.list_jobs), &arguments.allow_origin)?;
+    let service = router(App::new(jobs.clone(), arguments.list_jobs), sites);
     let failed =
         |e: std::io::Error| Failure::new(Code::InvalidRequest, format!("cannot listen on {}: {e}", arguments.listen));
     let listener = TcpListener::bind(arguments.listen).map_err(failed)?;
@@ -62,7 +64,7 @@ async fn serve(arguments: &Serve) -> Result<()> {
         tracing::info!("stopping");
         shutdown.cancel();
     });
-    let server = tokio::spawn(server.serve(service.into_make_service()));
+    let server = tokio::spawn(server.serve(service.into_make_service_with_connect_info::<SocketAddr>()));
     jobs.shutdown.cancelled().await;
     // Whatever does not end in time is cut off: the queue is made for that.
     let limit = arguments.work.grace.saturating_add(PATIENCE);

@@ -15,8 +15,10 @@ use super::upload::{self, Submission};
 use crate::error::{Code, Failure};
 use crate::jobs::record::{Job, JobState};
 
-/// Seconds after which a job that is not final may be asked for again.
-const RETRY_AFTER: HeaderValue = HeaderValue::from_static("1");
+/// Seconds after which a job that is not final may be asked for again: soon when it runs, when its turn may come while it waits.
+fn retry_after(app: &App, job: &Job) -> HeaderValue {
+    job.queue_position.map_or(1, |position| app.jobs.seconds_until(position.saturating_sub(1))).into()
+}
 
 /// Submits a model. Container, options and limits are checked at once, everything else when the job runs: follow it.
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs",
@@ -44,18 +46,24 @@ const RETRY_AFTER: HeaderValue = HeaderValue::from_static("1");
             headers(("Retry-After" = u32, description = "Seconds")))))]
 pub(super) async fn submit(State(app): State<App>, request: Request) -> HandlerResult {
     let wait = prefer::wait(request.headers());
-    let (mut job, known) = upload::receive(&app, request).await?;
+    let received = upload::receive(&app, request).await;
+    let (mut job, known) = received.map_err(|problem| match problem.code {
+        // A place is free when one of those that run has ended.
+        Code::QueueFull => Problem { retry_after: Some(app.jobs.seconds_until(1)), ..problem },
+        _ => problem,
+    })?;
     if let Some(wait) = wait {
         job = app.jobs.wait_until_final(&job.id, wait).await?;
     }
     let location = HeaderValue::from_str(&format!("/v1/jobs/{}", job.id))
         .map_err(|e| Failure::internal(format!("an id cannot stand in a header: {e}")))?;
-    let done = wait.is_some() && job.state.is_final();
+    let done = (wait.is_some() || known) && job.state.is_final();
+    let retry_after = retry_after(&app, &job);
     let mut response = (if done { StatusCode::OK } else { StatusCode::ACCEPTED }, Json(job)).into_response();
     let headers = response.headers_mut();
     headers.insert(header::LOCATION, location);
     if !done {
-        headers.insert(header::RETRY_AFTER, RETRY_AFTER);
+        headers.insert(header::RETRY_AFTER, retry_after);
     }
     if let Some(wait) = wait {
         prefer::applied(headers, wait);
@@ -96,7 +104,7 @@ pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers
         headers.insert(header::ETAG, etag);
     }
     if !job.state.is_final() {
-        headers.insert(header::RETRY_AFTER, RETRY_AFTER);
+        headers.insert(header::RETRY_AFTER, retry_after(&app, &job));
     }
     if let Some(wait) = wait {
         prefer::applied(headers, wait);

@@ -9,12 +9,13 @@ mod preflight;
 pub mod problem;
 mod recipes;
 pub mod router;
+pub mod sites;
 mod upload;
+mod upload_slots;
 
 use std::sync::Arc;
 
-use tokio::sync::Semaphore;
-
+use self::upload_slots::UploadSlots;
 use crate::jobs::Jobs;
 
 /// What every handler may use.
@@ -23,7 +24,7 @@ pub struct App {
     /// The jobs.
     pub jobs: Arc<Jobs>,
     /// Bounds the submissions that are received at the same time.
-    pub(crate) uploads: Arc<Semaphore>,
+    pub(crate) uploads: Arc<UploadSlots>,
     /// Whether anybody may list all jobs.
     pub(crate) list_jobs: bool,
 }
@@ -31,7 +32,7 @@ pub struct App {
 impl App {
     /// The service over `jobs`.
     pub fn new(jobs: Arc<Jobs>, list_jobs: bool) -> Self {
-        let uploads = Arc::new(Semaphore::new(jobs.limits.max_uploads.min(Semaphore::MAX_PERMITS)));
+        let uploads = UploadSlots::new(jobs.limits.max_uploads);
         App { jobs, uploads, list_jobs }
     }
 }

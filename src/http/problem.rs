@@ -24,6 +24,7 @@ pub fn status(code: Code) -> (StatusCode, &'static str) {
         Code::Canceled => (StatusCode::CONFLICT, "The job was cancelled"),
         Code::InvalidRequest => (StatusCode::BAD_REQUEST, "The request is malformed"),
         Code::UnsupportedMediaType => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "The media type is not supported"),
+        Code::Forbidden => (StatusCode::FORBIDDEN, "Not allowed"),
         Code::NotFound => (StatusCode::NOT_FOUND, "Not found"),
         Code::Gone => (StatusCode::GONE, "Removed"),
         Code::Conflict => (StatusCode::CONFLICT, "The state of the job does not allow this"),
@@ -51,6 +52,9 @@ pub struct Problem {
     pub code: Code,
     /// Every single thing that is wrong, with its JSON pointer into the options or the model.
     pub errors: Vec<OptionProblem>,
+    /// Seconds after which it may be tried again, where that is known.
+    #[serde(skip)]
+    pub retry_after: Option<u64>,
 }
 
 impl Problem {
@@ -58,7 +62,15 @@ impl Problem {
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         let (status, title) = status(code);
         let kind = format!("urn:intarsia:problem:{}", code.as_str());
-        Problem { kind, title, status: status.as_u16(), detail: detail.into(), code, errors: Vec::new() }
+        Problem {
+            kind,
+            title,
+            status: status.as_u16(),
+            detail: detail.into(),
+            code,
+            errors: Vec::new(),
+            retry_after: None,
+        }
     }
 
     /// The same problem with another status than its code's.
@@ -94,7 +106,7 @@ impl IntoResponse for Problem {
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
         if matches!(status, StatusCode::SERVICE_UNAVAILABLE | StatusCode::INSUFFICIENT_STORAGE) {
-            headers.insert(header::RETRY_AFTER, RETRY_AFTER);
+            headers.insert(header::RETRY_AFTER, self.retry_after.map_or(RETRY_AFTER, HeaderValue::from));
         }
         response
     }

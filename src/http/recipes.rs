@@ -80,8 +80,16 @@ pub(super) struct LimitList {
     max_uploads: u64,
     /// Seconds that an upload may stand still.
     upload_idle_s: f64,
+    /// Bytes a second that an upload must send on average, after a grace.
+    min_upload_rate: u64,
+    /// Seconds of that grace.
+    upload_rate_grace_s: f64,
     /// Jobs that wait.
     max_queued: u32,
+    /// Bytes of the uploads of all jobs that wait or run.
+    max_waiting_bytes: u64,
+    /// Bytes of all artifacts that are kept.
+    max_stored_bytes: u64,
     /// Texels of one image.
     max_image_pixels: u64,
     /// Triangles of one model.
@@ -119,7 +127,11 @@ pub(super) async fn limits(State(app): State<App>) -> Json<LimitList> {
         max_files: l.max_files as u64,
         max_uploads: l.max_uploads as u64,
         upload_idle_s: l.upload_idle.as_secs_f64(),
+        min_upload_rate: l.min_upload_rate,
+        upload_rate_grace_s: super::upload::RATE_GRACE.as_secs_f64(),
         max_queued: l.max_queued,
+        max_waiting_bytes: l.max_waiting,
+        max_stored_bytes: l.max_stored,
         max_image_pixels: l.max_image_pixels,
         max_triangles: l.max_triangles,
         max_json_bytes: l.max_json,

@@ -1,11 +1,11 @@
 //! All routes, and what surrounds every one of them.
 
 use std::panic::AssertUnwindSafe;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, MatchedPath, Request, State};
-use axum::http::{Extensions, HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version, header};
+use axum::http::{Extensions, HeaderMap, HeaderName, Method, StatusCode, Version, header};
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
@@ -19,8 +19,12 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::problem::Problem;
+use super::sites::{self, Sites};
 use super::{App, artifacts, events, health, jobs, recipes};
-use crate::error::{Code, Failure, Result};
+use crate::error::Code;
+
+/// How long a browser remembers what a page may send: the most that browsers take.
+const PREFLIGHT_AGE: Duration = Duration::from_secs(7200);
 
 /// The routes.
 fn all_routes() -> OpenApiRouter<App> {
@@ -38,11 +42,8 @@ fn all_routes() -> OpenApiRouter<App> {
         .routes(routes!(health::contract))
 }
 
-/// The service. `origins` are those that browsers may call from; `*` is any.
-///
-/// # Errors
-/// `invalid_options` for an origin that cannot stand in a header.
-pub fn router(app: App, origins: &[String]) -> Result<Router> {
+/// The service, for the pages and under the names of `sites`.
+pub fn router(app: App, sites: Sites) -> Router {
     let (router, _) = all_routes().split_for_parts();
     let request_id = HeaderName::from_static("x-request-id");
     let mut router = router
@@ -56,8 +57,8 @@ pub fn router(app: App, origins: &[String]) -> Result<Router> {
         .layer(from_fn(catch_panics))
         .layer(from_fn_with_state(app.clone(), record_response))
         .layer(CompressionLayer::new().compress_when(is_compressible));
-    if !origins.is_empty() {
-        router = router.layer(cors(origins)?);
+    if sites.origins().is_none_or(|origins| !origins.is_empty()) {
+        router = router.layer(cors(&sites));
     }
     let trace = TraceLayer::new_for_http()
         .make_span_with(|request: &Request| {
@@ -66,12 +67,14 @@ pub fn router(app: App, origins: &[String]) -> Result<Router> {
             tracing::info_span!("request", method = %request.method(), path = request.uri().path(), id)
         })
         .on_response(DefaultOnResponse::new().level(Level::DEBUG))
-        .on_failure(DefaultOnFailure::new().level(Level::WARN));
-    Ok(router
+        // What fails says so itself, and the machine's troubles are told once.
+        .on_failure(DefaultOnFailure::new().level(Level::DEBUG));
+    router
+        .layer(from_fn_with_state(sites, sites::check))
         .layer(PropagateRequestIdLayer::new(request_id.clone()))
         .layer(trace)
         .layer(SetRequestIdLayer::new(request_id, MakeRequestUuid))
-        .with_state(app))
+        .with_state(app)
 }
 
 /// The OpenAPI document.
@@ -98,15 +101,12 @@ fn openapi_head() -> OpenApi {
     OpenApiBuilder::new().info(info).components(Some(Components::new())).build()
 }
 
-fn cors(origins: &[String]) -> Result<CorsLayer> {
-    let allowed = if origins.iter().any(|o| o == "*") {
-        AllowOrigin::from(Any)
-    } else {
-        let list: std::result::Result<Vec<HeaderValue>, _> = origins.iter().map(|o| o.parse()).collect();
-        AllowOrigin::list(list.map_err(|_| Failure::new(Code::InvalidOptions, "an allowed origin is not valid"))?)
-    };
-    Ok(CorsLayer::new()
+fn cors(sites: &Sites) -> CorsLayer {
+    let allowed =
+        sites.origins().map_or_else(|| AllowOrigin::from(Any), |origins| AllowOrigin::list(origins.iter().cloned()));
+    CorsLayer::new()
         .allow_origin(allowed)
+        .max_age(PREFLIGHT_AGE)
         .allow_methods([Method::GET, Method::POST, Method::DELETE])
         .allow_headers([
             header::CONTENT_TYPE,
@@ -128,7 +128,7 @@ fn cors(origins: &[String]) -> Result<CorsLayer> {
             HeaderName::from_static("preference-applied"),
             HeaderName::from_static("idempotency-replayed"),
             HeaderName::from_static("x-request-id"),
-        ]))
+        ])
 }
 
 /// Whether a response is compressed where the client takes that: JSON and metrics, not streams, nor artifacts, of which ranges can be

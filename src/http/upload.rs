@@ -1,18 +1,18 @@
 //! How a submission comes in: streamed to the disk, counted while it streams, checked, handed to the queue.
 
 use axum::body::{Body, BodyDataStream, Bytes};
-use axum::extract::{FromRequest, Multipart, Request};
+use axum::extract::{ConnectInfo, FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, header};
 use futures_util::{Stream, StreamExt};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::{Duration, Instant};
 use tokio::io::AsyncWriteExt;
 use tokio::runtime::Handle;
-use tokio::sync::SemaphorePermit;
 use tokio::time::timeout;
 use utoipa::ToSchema;
 
@@ -32,8 +32,8 @@ pub(super) const MAX_OPTIONS_BYTES: usize = 1 << 20;
 /// How much of a refused request is still read, and for how long.
 const MAX_DRAINED_BYTES: usize = 32 << 20;
 const MAX_DRAIN_TIME: Duration = Duration::from_secs(3);
-/// Bytes a second that an upload must send on average, once it has lasted for as long as it may stand still.
-const MIN_RATE: f64 = 1024.0;
+/// From when on an upload must have the least rate.
+pub(super) const RATE_GRACE: Duration = Duration::from_secs(20);
 /// Bytes of an Idempotency-Key.
 const MAX_KEY_BYTES: usize = 255;
 /// Bytes of a file's relative path.
@@ -57,12 +57,19 @@ pub(super) struct Submission {
 /// Receives a submission and stores it as a job; true when it was known, by its key.
 pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<(Job, bool)> {
     let request_id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).map(truncated);
+    let client =
+        request.extensions().get::<ConnectInfo<SocketAddr>>().map_or(Ipv4Addr::UNSPECIFIED.into(), |c| c.0.ip());
     let request = request.map(|body| Body::from_stream(DrainOnDrop(Some(body.into_data_stream()))));
     let key = key(request.headers())?;
-    let _permit = admit(app, request.headers()).await?;
+    let recipe = query(&request)?;
+    admit(app, request.headers()).await?;
+    let request = started(request, app.jobs.limits.upload_idle).await?;
+    let Some(_slot) = app.uploads.take(client) else {
+        return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
+    };
     let mut incoming = IncomingUpload::new(app).await?;
     let media_type = media_type(request.headers());
-    let options = match media_type.as_str() {
+    let mut options = match media_type.as_str() {
         "multipart/form-data" => form(&mut incoming, request).await?,
         "model/gltf-binary" => raw(&mut incoming, request, "model.glb").await?,
         "model/gltf+json" => raw(&mut incoming, request, "model.gltf").await?,
@@ -76,6 +83,9 @@ pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<(Job, 
             return Err(Problem::new(Code::UnsupportedMediaType, detail));
         }
     };
+    if let Some(recipe) = recipe {
+        named(&mut options, recipe)?;
+    }
     let options = parse::options(&options).map_err(Problem::options)?;
     incoming.check().await?;
     let memory = incoming.memory().await?;
@@ -102,12 +112,9 @@ fn key(headers: &HeaderMap) -> HandlerResult<Option<String>> {
 }
 
 /// What is refused before anything is read.
-async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> HandlerResult<SemaphorePermit<'a>> {
+async fn admit(app: &App, headers: &HeaderMap) -> HandlerResult<()> {
     let limits = &app.jobs.limits;
     app.jobs.ready()?;
-    let Ok(permit) = app.uploads.try_acquire() else {
-        return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
-    };
     // A request with a key may be known: that shows only when all of it is here.
     if !headers.contains_key("idempotency-key") && app.jobs.waiting().await? >= u64::from(limits.max_queued) {
         return Err(crate::jobs::queue::queue_full().into());
@@ -130,7 +137,51 @@ async fn admit<'a>(app: &'a App, headers: &HeaderMap) -> HandlerResult<Semaphore
         );
         return Err(Problem::new(Code::InsufficientStorage, detail));
     }
-    Ok(permit)
+    Ok(())
+}
+
+/// The same request when the first bytes of its body are here: one that only waits holds no slot.
+async fn started(request: Request, limit: Duration) -> HandlerResult<Request> {
+    let (head, body) = request.into_parts();
+    let mut body = body.into_data_stream();
+    let first = timeout(limit, body.next()).await.map_err(|_| stalled())?;
+    Ok(Request::from_parts(head, Body::from_stream(futures_util::stream::iter(first).chain(body))))
+}
+
+/// The recipe that the query names.
+fn query(request: &Request) -> HandlerResult<Option<Value>> {
+    let query: axum::extract::Query<Vec<(String, String)>> = axum::extract::Query::try_from_uri(request.uri())
+        .map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
+    let mut recipe = None;
+    for (key, value) in query.0 {
+        if key != "recipe" {
+            let detail = format!(
+                "unknown parameter `{}`: the query takes `recipe`, everything else stands in the `options` of a form",
+                truncated(&key)
+            );
+            return Err(Problem::new(Code::InvalidRequest, detail));
+        }
+        if recipe.replace(parse::recipe_named(&value)).is_some() {
+            return Err(Problem::new(Code::InvalidRequest, "`recipe` stands twice in the query"));
+        }
+    }
+    Ok(recipe)
+}
+
+/// Options with the recipe that the query names.
+fn named(options: &mut Value, recipe: Value) -> HandlerResult<()> {
+    // What is no object is told by those who read the options.
+    let Some(map) = options.as_object_mut() else { return Ok(()) };
+    match map.get("recipe") {
+        Some(other) if *other != recipe => {
+            let detail = "the query names another `recipe` than the options; name it once";
+            Err(Problem::new(Code::InvalidRequest, detail))
+        }
+        _ => {
+            map.insert("recipe".to_owned(), recipe);
+            Ok(())
+        }
+    }
 }
 
 /// The body of a request, whose rest is still read for a while when it is dropped before its end: a client that is
@@ -171,21 +222,9 @@ impl Drop for DrainOnDrop {
 
 /// The raw model as the body; its options are in the query.
 async fn raw(incoming: &mut IncomingUpload<'_>, request: Request, path: &str) -> HandlerResult<Value> {
-    let mut options = Value::Object(serde_json::Map::new());
-    let query: axum::extract::Query<Vec<(String, String)>> = axum::extract::Query::try_from_uri(request.uri())
-        .map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
-    for (key, value) in query.0 {
-        match key.as_str() {
-            "recipe" => options["recipe"] = parse::recipe_named(&value),
-            other => {
-                let detail = format!("unknown parameter `{}`; a raw model takes `recipe`", truncated(other));
-                return Err(Problem::new(Code::InvalidRequest, detail));
-            }
-        }
-    }
     let stored = incoming.store(path.to_owned(), request.into_body().into_data_stream()).await?;
     incoming.manifest.models.push(stored);
-    Ok(options)
+    Ok(Value::Object(serde_json::Map::new()))
 }
 
 /// A form: `model` once or several times, any number of `files`, `options` at most once.
@@ -193,9 +232,8 @@ async fn form(incoming: &mut IncomingUpload<'_>, request: Request) -> HandlerRes
     let mut form =
         Multipart::from_request(request, &()).await.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
     let mut options = None;
-    let idle = incoming.app.jobs.limits.upload_idle;
     loop {
-        let field = timeout(idle, form.next_field()).await.map_err(|_| stalled())?;
+        let field = timeout(incoming.patience(), form.next_field()).await.map_err(|_| stalled())?;
         let Some(mut field) = field.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))? else { break };
         let name = field.name().unwrap_or_default().to_owned();
         match name.as_str() {
@@ -217,7 +255,7 @@ async fn form(incoming: &mut IncomingUpload<'_>, request: Request) -> HandlerRes
             "options" if options.is_none() => {
                 let mut text = Vec::new();
                 loop {
-                    let chunk = timeout(idle, field.chunk()).await.map_err(|_| stalled())?;
+                    let chunk = timeout(incoming.patience(), field.chunk()).await.map_err(|_| stalled())?;
                     let Some(chunk) = chunk.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))? else {
                         break;
                     };
@@ -227,7 +265,7 @@ async fn form(incoming: &mut IncomingUpload<'_>, request: Request) -> HandlerRes
                     }
                     text.extend_from_slice(&chunk);
                 }
-                let parsed = serde_json::from_slice(&text);
+                let parsed = parse::json(&text);
                 options = Some(
                     parsed.map_err(|e| Problem::new(Code::InvalidRequest, format!("the options are not JSON: {e}")))?,
                 );
@@ -286,13 +324,12 @@ impl<'a> IncomingUpload<'a> {
         let mut file = tokio::fs::File::create_new(&path).await.map_err(failed)?;
         let mut hash = Sha256::new();
         let mut stream = std::pin::pin!(stream);
-        while let Some(chunk) = timeout(limits.upload_idle, stream.next()).await.map_err(|_| stalled())? {
+        while let Some(chunk) = timeout(self.patience(), stream.next()).await.map_err(|_| stalled())? {
             let chunk = chunk.map_err(|e| Problem::new(Code::InvalidRequest, format!("the upload broke off: {e}")))?;
             self.bytes += chunk.len() as u64;
             if self.bytes > limits.max_upload {
                 return Err(too_large(limits.max_upload));
             }
-            self.check_rate()?;
             hash.update(&chunk);
             file.write_all(&chunk).await.map_err(failed)?;
         }
@@ -348,11 +385,12 @@ impl<'a> IncomingUpload<'a> {
         Ok(bytes)
     }
 
-    /// Refuses an upload that is so slow that it would only hold its place.
-    fn check_rate(&self) -> HandlerResult<()> {
-        let took = self.started.elapsed();
-        let slow = took > self.app.jobs.limits.upload_idle && (self.bytes as f64) < MIN_RATE * took.as_secs_f64();
-        if slow { Err(stalled()) } else { Ok(()) }
+    /// How long the next bytes may take: so long as an upload may stand still, and no longer than the least rate allows.
+    fn patience(&self) -> Duration {
+        let limits = &self.app.jobs.limits;
+        let earned = Duration::from_secs_f64(self.bytes as f64 / limits.min_upload_rate.max(1) as f64);
+        let left = RATE_GRACE.saturating_add(earned).saturating_sub(self.started.elapsed());
+        limits.upload_idle.min(left)
     }
 
     /// Fingerprint of this request: its options, and its files by name and contents.
@@ -411,7 +449,7 @@ fn truncated(text: &str) -> String {
 }
 
 fn stalled() -> Problem {
-    let problem = Problem::new(Code::InvalidRequest, "the upload stood still for too long");
+    let problem = Problem::new(Code::InvalidRequest, "the upload stood still, or was too slow, for too long");
     problem.with_status(axum::http::StatusCode::REQUEST_TIMEOUT)
 }
 

@@ -244,7 +244,8 @@ pub fn entries(job: &str, artifacts: &[Artifact]) -> Vec<ArtifactEntry> {
         media_type: artifact.media_type.clone(),
         bytes: artifact.bytes.len() as u64,
         sha256: hex::encode(Sha256::digest(&artifact.bytes)),
-        href: format!("/v1/jobs/{job}/artifacts/{}", utf8_percent_encode(&artifact.name, SEGMENT)),
+        href: Some(format!("/v1/jobs/{job}/artifacts/{}", utf8_percent_encode(&artifact.name, SEGMENT))),
+        expired: false,
     };
     artifacts.iter().map(entry).collect()
 }
@@ -296,7 +297,7 @@ mod tests {
         let hashes: BTreeSet<String> = entries.iter().map(|e| e.sha256.clone()).collect();
         assert_eq!((files.objects().len(), files.objects().into_iter().collect()), (2, hashes));
         assert_eq!(fs::read_dir(files.incoming("")).unwrap().count(), 0);
-        assert_eq!((entries[0].href.as_str(), entries[0].bytes), ("/v1/jobs/j/artifacts/a%20b%2Fc.txt", 3));
+        assert_eq!((entries[0].href.as_deref(), entries[0].bytes), (Some("/v1/jobs/j/artifacts/a%20b%2Fc.txt"), 3));
         assert_eq!(fs::read(files.object(&entries[1].sha256)).unwrap(), b"two");
         files.remove_object(&entries[1].sha256);
         assert_eq!(files.objects().len(), 1);

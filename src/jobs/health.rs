@@ -46,7 +46,8 @@ impl Jobs {
         let found = self.probe(deep).await.err();
         let mut known = self.health.0.lock().unwrap_or_else(PoisonError::into_inner);
         match (&*known, &found) {
-            (before, Some(now)) if before.as_ref() != Some(now) => {
+            // What is free changes all the time: the kind of trouble tells whether this is another.
+            (before, Some(now)) if before.as_ref().is_none_or(|before| before.code != now.code) => {
                 tracing::error!(code = now.code.as_str(), "not ready: {}; jobs wait, none is lost", now.message);
             }
             (Some(_), None) => {

@@ -19,7 +19,7 @@ pub mod telemetry;
 mod worker;
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::Notify;
@@ -36,7 +36,7 @@ use hub::Hub;
 use queue::sqlite::Sqlite;
 use queue::{CancelReply, NewJob, Queue, Submitted};
 use record::{ArtifactEntry, Job, JobState};
-use slots::Slots;
+use slots::{SMALL, Slots};
 
 /// How often a job that this process does not run is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
@@ -57,6 +57,8 @@ pub struct Jobs {
     pub slots: Arc<Slots>,
     /// What is counted.
     pub telemetry: Telemetry,
+    /// Seconds that a job takes, the last ones above all.
+    seconds: Mutex<f64>,
     health: Health,
     /// Why nothing may be collected, where the queue does not know the files that are here.
     foreign: bool,
@@ -78,13 +80,15 @@ impl Jobs {
         let identity = queue.identity().await?;
         let owned = files.own(&identity, fresh, storage.adopt_store)?;
         tracing::info!(store = identity, "the job queue is open");
+        let slots = Slots::new(usize::from(work.jobs), work.threads, work.memory())?;
         let jobs = Jobs {
-            queue: Box::new(queue),
+            queue: Box::new(if slots.count() > 1 { queue.with_small(SMALL) } else { queue }),
             files,
             hub: Hub::default(),
             limits,
             shutdown: CancellationToken::new(),
-            slots: Slots::new(usize::from(work.jobs), work.threads, work.memory())?,
+            slots,
+            seconds: Mutex::new(1.0),
             telemetry: Telemetry::new()?,
             health: Health::default(),
             foreign: !owned,
@@ -184,6 +188,18 @@ impl Jobs {
         }
     }
 
+    /// Whole seconds until the job at that place of the queue may be expected to start, or to have made room: 1 to 60.
+    pub fn seconds_until(&self, position: u64) -> u64 {
+        let seconds = *self.seconds.lock().unwrap_or_else(PoisonError::into_inner);
+        (seconds * position as f64 / self.slots.count() as f64).ceil().clamp(1.0, 60.0) as u64
+    }
+
+    /// Notes how long a job took.
+    fn took(&self, seconds: f64) {
+        let mut mean = self.seconds.lock().unwrap_or_else(PoisonError::into_inner);
+        *mean += (seconds - *mean) / 8.0;
+    }
+
     /// Number of jobs that wait.
     ///
     /// # Errors
@@ -230,11 +246,12 @@ impl Jobs {
     /// `not_found`, `gone`, `internal`.
     pub async fn artifact(&self, id: &str, name: &str) -> Result<(ArtifactEntry, std::path::PathBuf)> {
         let job = self.queue.get(id).await?.ok_or_else(|| unknown(id))?;
-        let removed = job.artifacts_expire_at.is_some_and(|at| at <= record::Timestamp::now());
         let found = job.artifacts.into_iter().find(|e| e.name == name).map(|e| (self.files.object(&e.sha256), e));
         match found {
             None => Err(Failure::new(Code::NotFound, format!("the job has no artifact `{name}`"))),
-            Some(_) if removed => Err(Failure::new(Code::Gone, "the artifacts of this job have been removed")),
+            Some((_, entry)) if entry.expired => {
+                Err(Failure::new(Code::Gone, "the artifacts of this job have been removed"))
+            }
             Some((path, entry)) => Ok((entry, path)),
         }
     }

@@ -172,8 +172,11 @@ pub struct ArtifactEntry {
     pub bytes: u64,
     /// SHA-256 in hexadecimal digits.
     pub sha256: String,
-    /// Where it can be fetched, relative to the service.
-    pub href: String,
+    /// Where it can be fetched, relative to the service; null when it has been removed.
+    pub href: Option<String>,
+    /// Whether it has been removed, because its time was up.
+    #[serde(default)]
+    pub expired: bool,
 }
 
 /// A new job's id.

@@ -13,7 +13,7 @@ use super::system;
 use crate::error::{Failure, Result};
 
 /// Jobs that are expected to need more than this many bytes are large: one slot stays free of them.
-const SMALL: u64 = 160 << 20;
+pub(super) const SMALL: u64 = 160 << 20;
 /// A job for which there is no capacity is overtaken by smaller ones for so long.
 const PATIENCE: Duration = Duration::from_secs(60);
 

@@ -229,6 +229,7 @@ impl Jobs {
             let code = end.error.as_ref().map_or("", |e| e.code.as_str());
             tracing::info!(state = end.state.as_str(), code, seconds = started.elapsed().as_secs_f64(), "job ends");
             self.telemetry.record_attempt(&end, started.elapsed());
+            self.took(started.elapsed().as_secs_f64());
             self.hub.ended(&claim.id, end.state);
             self.files.remove_uploads(&claim.id);
         } else {

@@ -1,5 +1,6 @@
 //! Options as users write them: JSON, `--set PATH=VALUE`, a recipe's name. Every problem is found, not only the first.
 
+mod json;
 mod ranges;
 mod recipe;
 #[cfg(test)]
@@ -16,6 +17,7 @@ use crate::error::{Code, Failure};
 use crate::metrics::Requirement;
 pub use crate::params::{Problem, nearest};
 use crate::params::{child, keys, kind, section, typed, unknown};
+pub use json::json;
 pub use recipe::recipe_named;
 
 /// Largest `metadata`, in bytes of JSON.

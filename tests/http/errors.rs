@@ -58,6 +58,87 @@ fn bad_submissions_are_told_what_is_wrong() {
 }
 
 #[test]
+fn what_the_query_says_beside_a_form_is_honoured_or_refused() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let taken = |query: &str, form: Form| server.submit_to(&format!("/v1/jobs?{query}"), &form);
+    let mut named = taken("recipe=scan", Form::sample().text("options", r#"{"seed": 3}"#));
+    assert_eq!(named.status(), 202);
+    let job = json(&mut named);
+    assert_eq!((&job["recipe"], &job["options"]["seed"]), (&json!("scan"), &json!(3)));
+    assert_eq!(taken("recipe=scan", Form::sample().text("options", r#"{"recipe": "scan"}"#)).status(), 202);
+    for (query, form, part) in [
+        ("recipe=scan", Form::sample().text("options", r#"{"recipe": "pack"}"#), "another `recipe`"),
+        ("pack.gutter=3", Form::sample(), "pack.gutter"),
+        ("recipe=scan&strict=1", Form::sample(), "strict"),
+    ] {
+        let problem = problem(taken(query, form));
+        assert_eq!(problem["status"], 400);
+        assert!(problem["detail"].as_str().unwrap().contains(part), "{problem:#}");
+    }
+    let twice = Form::sample().text("options", r#"{"seed": 1, "seed": 2}"#);
+    let problem = problem(server.submit(&twice));
+    assert_eq!(problem["status"], 400);
+    assert!(problem["detail"].as_str().unwrap().contains("`seed` stands twice"), "{problem:#}");
+}
+
+#[test]
+fn strangers_pages_and_names_are_refused() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &["--allow-host", "atlas.example"]);
+    let (form, port) = (Form::sample(), server.base.rsplit(':').next().unwrap().to_owned());
+    let own = format!("http://localhost:{port}");
+    for (headers, status, code) in [
+        (vec![("origin", "https://evil.example")], 403, "forbidden"),
+        (vec![("origin", "null")], 403, "forbidden"),
+        (vec![("host", "evil.example")], 421, "invalid_request"),
+        (vec![("host", "evil.example"), ("origin", "http://evil.example")], 421, "invalid_request"),
+    ] {
+        let problem = problem(server.submit_with(&form, &headers));
+        assert_eq!((&problem["status"], &problem["code"]), (&json!(status), &json!(code)), "{headers:?}");
+    }
+    let local = format!("localhost:{port}");
+    for headers in [
+        vec![("host", local.as_str()), ("origin", own.as_str())],
+        vec![("host", "atlas.example"), ("origin", "https://atlas.example")],
+        vec![],
+    ] {
+        assert_eq!(server.submit_with(&form, &headers).status(), 202, "{headers:?}");
+    }
+}
+
+#[test]
+fn slow_uploads_of_one_client_leave_others_their_part() {
+    use std::io::Read;
+    use std::net::TcpStream;
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &["--max-uploads", "8", "--upload-idle", "5s"]);
+    let address = server.base.strip_prefix("http://").unwrap().to_owned();
+    let begin = |body: &[u8]| {
+        let mut stream = TcpStream::connect(&address).unwrap();
+        let head = format!(
+            "POST /v1/jobs HTTP/1.1\r\nHost: {address}\r\nContent-Type: model/gltf-binary\r\nContent-Length: 100000\r\n\r\n"
+        );
+        stream.write_all(head.as_bytes()).unwrap();
+        stream.write_all(body).unwrap();
+        stream
+    };
+    // Those that have sent nothing hold no slot; those that have hold at most half.
+    let waiting: Vec<TcpStream> = (0..20).map(|_| begin(b"")).collect();
+    let slow: Vec<TcpStream> = (0..12).map(|_| begin(b"glTF")).collect();
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    let other = server.submit_from("127.0.0.2", &Form::sample());
+    assert!(other.starts_with("HTTP/1.1 202"), "{other}");
+    let refused = slow.into_iter().filter(|stream| {
+        let (mut stream, mut answer) = (stream.try_clone().unwrap(), [0; 12]);
+        stream.set_read_timeout(Some(std::time::Duration::from_millis(200))).unwrap();
+        stream.read_exact(&mut answer).is_ok_and(|()| &answer == b"HTTP/1.1 503")
+    });
+    assert_eq!(refused.count(), 8, "of twelve, four are received");
+    drop(waiting);
+}
+
+#[test]
 fn every_wrong_option_is_named() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);
@@ -88,6 +169,7 @@ fn raw_bodies_must_be_models() {
         ("/v1/jobs", "multipart/form-data; boundary=x", b"--x\r\nbroken", 400),
         ("/v1/jobs?recipe=pak", "model/gltf-binary", sample(), 422),
         ("/v1/jobs?receipt=pack", "model/gltf-binary", sample(), 400),
+        ("/v1/jobs?recipe=pack&recipe=scan", "model/gltf-binary", sample(), 400),
     ] {
         assert_eq!(problem(server.post(path, media_type, body))["status"], status, "{path} {media_type}");
     }
@@ -121,7 +203,8 @@ fn a_full_queue_asks_to_come_back() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &["--max-queued", "0"]);
     let response = server.submit(&Form::sample());
-    assert_eq!(header(&response, "retry-after"), "5");
+    let seconds: u64 = header(&response, "retry-after").parse().unwrap();
+    assert!((1..=60).contains(&seconds), "{seconds}");
     let problem = problem(response);
     assert_eq!((&problem["status"], &problem["code"]), (&json!(503), &json!("queue_full")));
 }

@@ -2,6 +2,7 @@
 
 mod errors;
 mod events;
+mod faults;
 mod jobs;
 mod server;
 mod service;

@@ -77,7 +77,10 @@ fn browsers_may_call_from_allowed_origins_only() {
     for name in ["location", "retry-after", "etag", "content-disposition"] {
         assert!(exposed.contains(name), "{name} is not in {exposed}");
     }
+    let preflight = server.preflight("/v1/jobs", "https://a.example");
+    assert_eq!(header(&preflight, "access-control-max-age"), "7200", "browsers ask once");
     let other = server.get("/healthz", &[("origin", "https://b.example")]);
+    assert_eq!(other.status(), 403);
     assert!(other.headers().get("access-control-allow-origin").is_none());
 }
 

@@ -49,7 +49,15 @@ fn ended(state: JobState) -> AttemptEnd {
 
 fn entry(sha256: &str) -> ArtifactEntry {
     let text = String::new;
-    ArtifactEntry { name: "a".into(), role: text(), media_type: text(), bytes: 1, sha256: sha256.into(), href: text() }
+    ArtifactEntry {
+        name: "a".into(),
+        role: text(),
+        media_type: text(),
+        bytes: 1,
+        sha256: sha256.into(),
+        href: None,
+        expired: false,
+    }
 }
 
 async fn every_job_is_claimed_once_and_in_order<Q: Queue + 'static>(queue: Arc<Q>) {

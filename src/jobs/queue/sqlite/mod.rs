@@ -25,9 +25,15 @@ use crate::error::{Code, Failure, Result};
 use crate::jobs::files::disk;
 use crate::jobs::record::{Job, JobState, Timestamp};
 
-/// The place of a job among those that wait: 1 is next.
-const POSITION: &str = "CASE state WHEN 'queued' THEN (SELECT count(*) FROM jobs other
-  WHERE other.state = 'queued' AND (other.turn, other.seq) <= (jobs.turn, jobs.seq)) END AS position";
+/// The place of a job among those that wait: 1 is next. Small jobs do not wait for those that are not.
+fn position(small: u64) -> String {
+    let small = integer(small);
+    format!(
+        "CASE state WHEN 'queued' THEN (SELECT count(*) FROM jobs other
+           WHERE other.state = 'queued' AND (other.turn, other.seq) <= (jobs.turn, jobs.seq)
+             AND (jobs.memory > {small} OR other.memory <= {small})) END AS position"
+    )
+}
 
 /// The queue.
 #[derive(Debug)]
@@ -39,6 +45,8 @@ pub struct Sqlite {
     options: SqliteConnectOptions,
     /// Which file it was when it was opened.
     file: FileId,
+    /// Jobs that are expected to need no more have a slot of their own.
+    small: u64,
     /// Whether what a removed file held has been written beside it.
     rescued: AtomicBool,
 }
@@ -86,7 +94,12 @@ impl Sqlite {
         let file = file_id(path).map_err(|e| disk(path, &e))?;
         let heartbeats = options.clone().synchronous(SqliteSynchronous::Normal);
         let heartbeats = SqlitePoolOptions::new().max_connections(1).idle_timeout(None).connect_lazy_with(heartbeats);
-        Ok(Sqlite { pool, heartbeats, options, file, rescued: AtomicBool::new(false) })
+        Ok(Sqlite { pool, heartbeats, options, file, small: u64::MAX, rescued: AtomicBool::new(false) })
+    }
+
+    /// The same queue, for a service where jobs that are expected to need no more than `small` bytes have a slot of their own.
+    pub fn with_small(self, small: u64) -> Self {
+        Sqlite { small, ..self }
     }
 
     /// The connections for what writes: a file that is no longer the queue's would take it without complaint.
@@ -172,15 +185,16 @@ impl Queue for Sqlite {
     }
 
     async fn get(&self, id: &str) -> Result<Option<Job>> {
-        let sql = format!("SELECT *, {POSITION} FROM jobs WHERE id = ?1");
+        let sql = format!("SELECT *, {} FROM jobs WHERE id = ?1", position(self.small));
         let row = sqlx::query(AssertSqlSafe(sql)).bind(id).fetch_optional(&self.pool).await?;
         row.as_ref().map(job).transpose()
     }
 
     async fn list(&self, state: Option<JobState>, cursor: Option<i64>, limit: u32) -> Result<(Vec<Job>, Option<i64>)> {
         let sql = format!(
-            "SELECT *, {POSITION} FROM jobs WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR seq < ?2)
-             ORDER BY seq DESC LIMIT ?3"
+            "SELECT *, {} FROM jobs WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR seq < ?2)
+             ORDER BY seq DESC LIMIT ?3",
+            position(self.small)
         );
         let rows = sqlx::query(AssertSqlSafe(sql))
             .bind(state.map(JobState::as_str))
@@ -540,6 +554,24 @@ impl From<sqlx::Error> for Failure {
 mod tests {
     use super::*;
     use crate::jobs::queue::conformance;
+
+    #[tokio::test]
+    async fn small_jobs_have_places_of_their_own() {
+        let root = tempfile::tempdir().unwrap();
+        let queue = Sqlite::open(&root.path().join("q")).await.unwrap();
+        let submit = async |queue: &Sqlite, id: &str, memory| {
+            queue.submit(&NewJob { id: id.into(), memory, ..NewJob::default() }, 9).await.unwrap()
+        };
+        for (id, memory) in [("large", 100), ("a", 1), ("huge", 200), ("b", 10)] {
+            submit(&queue, id, memory).await;
+        }
+        let place = async |queue: &Sqlite, id: &str| queue.get(id).await.unwrap().unwrap().queue_position;
+        assert_eq!((place(&queue, "a").await, place(&queue, "b").await), (Some(2), Some(4)), "one line for all");
+        let queue = queue.with_small(10);
+        assert_eq!((place(&queue, "a").await, place(&queue, "b").await), (Some(1), Some(2)));
+        assert_eq!((place(&queue, "large").await, place(&queue, "huge").await), (Some(1), Some(3)));
+        assert_eq!(queue.list(None, None, 9).await.unwrap().0[0].queue_position, Some(2));
+    }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
     async fn it_conforms() {

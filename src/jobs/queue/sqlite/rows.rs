@@ -6,7 +6,7 @@ use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
 use crate::error::{Failure, Result};
-use crate::jobs::record::{Job, JobState, Timestamp};
+use crate::jobs::record::{ArtifactEntry, Job, JobState, Timestamp};
 
 /// A value as a column holds it.
 pub(super) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
@@ -29,6 +29,11 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
     let state: String = row.try_get("state")?;
     let position: Option<i64> = row.try_get("position")?;
     let error: Option<String> = row.try_get("error")?;
+    let artifacts_expire_at = timestamp("artifacts_expire_at")?;
+    let mut artifacts: Vec<ArtifactEntry> = parsed(row, "artifacts")?;
+    if artifacts_expire_at.is_some_and(|at| at <= Timestamp::now()) {
+        artifacts.iter_mut().for_each(|a| (a.href, a.expired) = (None, true));
+    }
     Ok(Job {
         id: row.try_get("id")?,
         state: JobState::from_name(&state).ok_or_else(|| Failure::internal("the job queue holds a broken state"))?,
@@ -41,12 +46,12 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
         created_at: Timestamp(row.try_get("created_at")?),
         started_at: timestamp("started_at")?,
         finished_at: timestamp("finished_at")?,
-        artifacts_expire_at: timestamp("artifacts_expire_at")?,
+        artifacts_expire_at,
         stages: parsed(row, "stages")?,
         timings: parsed(row, "timings")?,
         warnings: parsed(row, "warnings")?,
         error: error.and_then(|text| serde_json::from_str(&text).ok()),
-        artifacts: parsed(row, "artifacts")?,
+        artifacts,
     })
 }
 
