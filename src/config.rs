@@ -88,9 +88,12 @@ pub enum LogFormat {
 /// `intarsia health`.
 #[derive(Debug, Clone, Args)]
 pub struct Health {
-    /// Address that the service listens on.
-    #[arg(long, env = "INTARSIA_LISTEN", default_value = "127.0.0.1:8080")]
-    pub listen: SocketAddr,
+    /// Address that the service listens on; without it, the one that the service has noted in its data folder.
+    #[arg(long)]
+    pub listen: Option<SocketAddr>,
+    /// Folder of the queue, the uploads and the results.
+    #[arg(long, env = "INTARSIA_DATA_DIR", default_value = "./intarsia-data")]
+    pub data_dir: PathBuf,
 }
 
 /// How the service looks after its data folder.

@@ -83,7 +83,7 @@ exit_code() {
   case $1 in
     invalid_options | invalid_request) echo 2 ;;
     requirement_not_met) echo 4 ;;
-    internal | canceled | queue_full | not_found | gone | conflict | '') echo 1 ;;
+    internal | canceled | queue_full | insufficient_storage | unavailable | forbidden | not_found | gone | conflict | '') echo 1 ;;
     *) echo 3 ;;
   esac
 }
@@ -113,7 +113,7 @@ while :; do
   call -H "Idempotency-Key: $key" -H 'Expect:' "${form[@]}" "$server/v1/jobs"
   case $status in
     200 | 201 | 202) break ;;
-    429 | 502 | 503 | 504) say "the service is busy ($status)"; pause 5 ;;
+    429 | 502 | 503 | 504 | 507) say "the service is busy ($status)"; pause 5 ;;
     000)
       tries=$((tries + 1))
       [ "$tries" -lt 4 ] || die 1 "cannot reach $server: $(cat "$work/said")"

@@ -12,7 +12,15 @@ const PATIENCE: Duration = Duration::from_secs(3);
 
 /// Succeeds when the service says that it is alive.
 pub fn run(arguments: &Health) -> Result<()> {
-    let address = reachable(arguments.listen);
+    let noted = || {
+        let path = arguments.data_dir.join(super::serve::ADDRESS);
+        let text = std::fs::read_to_string(&path);
+        let noted = text.ok().and_then(|text| text.trim().parse().ok());
+        noted.ok_or_else(|| {
+            Failure::new(Code::Internal, format!("no service has noted its address in {}", path.display()))
+        })
+    };
+    let address = reachable(arguments.listen.map_or_else(noted, Ok)?);
     let unwell = |why: String| Failure::new(Code::Internal, format!("the service at {address} {why}"));
     let ask = || -> std::io::Result<Vec<u8>> {
         let mut stream = TcpStream::connect_timeout(&address, PATIENCE)?;

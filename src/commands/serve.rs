@@ -17,6 +17,9 @@ use tokio::time::timeout;
 /// How long, beyond the grace of running jobs, requests and jobs may take to end when the service is told to stop.
 const PATIENCE: Duration = Duration::from_secs(10);
 
+/// The file of the data folder that has the address of the service.
+pub const ADDRESS: &str = "address";
+
 /// How long the head of a request may take, and a connection may wait for the next one.
 const HEADERS: Duration = Duration::from_secs(60);
 
@@ -56,6 +59,8 @@ async fn serve(arguments: &Serve) -> Result<()> {
     let worker = tokio::spawn(jobs.clone().work());
     let maintenance = tokio::spawn(jobs.clone().run_maintenance());
     tokio::spawn(jobs.clone().watch());
+    // For `intarsia health`, which does not know how this process was started. Where it cannot be written, the service has other troubles.
+    let _ = std::fs::write(arguments.data_dir.join(ADDRESS), format!("{address}\n"));
     super::print(&format!("listening on http://{address}\n"))?;
 
     let shutdown = jobs.shutdown.clone();
