@@ -144,11 +144,12 @@ fn convert<const S: usize, const N: usize>(data: &[u8], one: impl Fn([u8; S]) ->
 /// # Errors
 /// `invalid_model` at the accessor, when it is not of unsigned integers or leaves its buffer.
 pub fn read_indices(doc: &Document, accessor: usize) -> Result<Vec<u32>> {
-    let raw = raw_elements(doc, accessor)?;
-    if raw.kind != Kind::Scalar {
-        let message = format!("indices are a {}, not SCALAR", kind_name(raw.kind));
+    let kind = accessor_shape(doc, accessor)?.kind;
+    if kind != Kind::Scalar {
+        let message = format!("indices are a {}, not SCALAR", kind_name(kind));
         return Err(Failure::model(message).at(format!("/accessors/{accessor}/type")));
     }
+    let raw = raw_elements(doc, accessor)?;
     raw.unsigned().ok_or_else(|| {
         let found = raw.component_type.as_gl_enum();
         Failure::model(format!("indices have componentType {found}, not 5121, 5123 or 5125"))

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::uri;
-use crate::texture::{Format, format};
+use crate::texture::Format;
 
 /// The format that a URI tells: by its media type, or by its extension.
 fn format_by_name(name: &str) -> Option<Format> {
@@ -19,9 +19,20 @@ pub(crate) fn by_name(name: &str) -> Option<&'static str> {
     format_by_name(name).map(Format::media_type)
 }
 
+/// The format that the first bytes of an image tell, as few as there may be of a damaged one.
+fn format(bytes: &[u8]) -> Option<Format> {
+    match bytes {
+        [0x89, b'P', b'N', b'G', ..] => Some(Format::Png),
+        [0xFF, 0xD8, 0xFF, ..] => Some(Format::Jpeg),
+        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => Some(Format::Ktx2),
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Some(Format::Webp),
+        _ => None,
+    }
+}
+
 /// The media type that the first bytes of an image tell.
 pub(crate) fn media_type(bytes: &[u8]) -> Option<&'static str> {
-    format(bytes).ok().map(Format::media_type)
+    format(bytes).map(Format::media_type)
 }
 
 /// The names of side files, each given once whichever case a file system sees.
@@ -45,7 +56,7 @@ impl<'a> Names<'a> {
         (index, count): (usize, usize),
         bytes: &'a [u8],
     ) -> (String, bool) {
-        let format = format(bytes).ok();
+        let format = format(bytes);
         let extension = format.map_or("", Format::extension);
         let wanted = wanted.unwrap_or_else(|| format!("image-{index}.{extension}").trim_end_matches('.').to_owned());
         let agrees = format.is_none() || format_by_name(&wanted) == format;

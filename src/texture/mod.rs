@@ -19,7 +19,6 @@ mod texel_map;
 mod transfer;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
-pub(crate) use decode::format;
 pub use decode::{decode, header, is_lossy, probe};
 pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;

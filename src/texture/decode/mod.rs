@@ -100,10 +100,7 @@ fn invalid(what: impl std::fmt::Display) -> Failure {
     Failure::new(Code::InvalidImage, format!("the image cannot be decoded: {what}"))
 }
 
-/// What an image file is, by its first bytes.
-///
-/// Fails with `invalid_image` when it is of no known kind.
-pub(crate) fn format(bytes: &[u8]) -> Result<Format> {
+fn format(bytes: &[u8]) -> Result<Format> {
     if bytes.starts_with(PNG_SIGNATURE) {
         Ok(Format::Png)
     } else if bytes.starts_with(&[0xff, 0xd8]) {
