@@ -1,8 +1,12 @@
 //! Typed and raw reading of accessors: any component type, stride, sparse, normalised or not.
 
-use super::accessor_layout::{self, AccessorLayout, SparseLayout};
-use super::accessor_type::{ComponentType, Kind};
+use gltf::accessor::Item;
+use gltf::accessor::util::ItemIter;
+use gltf::json::accessor::sparse::Sparse;
+
+use super::accessor_layout::{self, AccessorLayout, element_size, kind_name, sparse_parts, valid};
 use super::document::Document;
+use super::{ComponentType, Kind};
 use crate::error::{Failure, Result};
 
 /// The elements of an accessor, tightly packed, for copying without loss.
@@ -23,6 +27,12 @@ pub struct RawAccessor {
 }
 
 impl RawAccessor {
+    /// Elements that lie one after the other in `data`.
+    pub fn new(component_type: ComponentType, kind: Kind, normalized: bool, data: Vec<u8>) -> Self {
+        let element_size = element_size(kind, component_type);
+        RawAccessor { component_type, kind, normalized, element_size, count: data.len() / element_size, data }
+    }
+
     /// Float vectors of 2, 3 or 4 components (1 is a scalar).
     pub fn from_floats<const N: usize>(values: &[[f32; N]]) -> Self {
         let kind = match N {
@@ -31,63 +41,46 @@ impl RawAccessor {
             3 => Kind::Vec3,
             _ => Kind::Vec4,
         };
-        debug_assert_eq!(kind.components(), N);
+        debug_assert_eq!(kind.multiplicity(), N);
         let data = values.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
-        RawAccessor {
-            component_type: ComponentType::F32,
-            kind,
-            normalized: false,
-            element_size: 4 * N,
-            count: values.len(),
-            data,
-        }
+        Self::new(ComponentType::F32, kind, false, data)
     }
 
     /// Indices, 16 bits wide where they fit (65535 restarts primitives and is kept out), else 32.
     pub fn from_indices(values: &[u32]) -> Self {
         let wide = values.iter().any(|v| *v >= 0xFFFF);
-        let (component_type, data) = if wide {
-            (ComponentType::U32, values.iter().flat_map(|v| v.to_le_bytes()).collect())
-        } else {
-            (ComponentType::U16, values.iter().flat_map(|v| (*v as u16).to_le_bytes()).collect())
+        let component = if wide { ComponentType::U32 } else { ComponentType::U16 };
+        Self::from_unsigned(component, Kind::Scalar, values)
+    }
+
+    /// Unsigned integers, cut to the width of their type.
+    pub(crate) fn from_unsigned(component_type: ComponentType, kind: Kind, values: &[u32]) -> Self {
+        let data = match component_type {
+            ComponentType::U8 => values.iter().map(|v| *v as u8).collect(),
+            ComponentType::U16 => values.iter().flat_map(|v| (*v as u16).to_le_bytes()).collect(),
+            _ => values.iter().flat_map(|v| v.to_le_bytes()).collect(),
         };
-        RawAccessor {
-            component_type,
-            kind: Kind::Scalar,
-            normalized: false,
-            element_size: component_type.size(),
-            count: values.len(),
-            data,
-        }
+        Self::new(component_type, kind, false, data)
+    }
+
+    /// The components as unsigned integers; none where they are something else.
+    pub(crate) fn unsigned(&self) -> Option<Vec<u32>> {
+        unsigned(self.component_type, &self.data)
     }
 }
 
 /// What an accessor holds, without its data.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shape {
-    /// Type of a component.
-    pub component_type: ComponentType,
-    /// Shape of an element.
-    pub kind: Kind,
-    /// Whether integers stand for fractions of their range.
-    pub normalized: bool,
-    /// Number of elements.
-    pub count: usize,
-}
-
-/// What an accessor holds.
 ///
 /// # Errors
 /// `invalid_model` when there is no such accessor or a field of it is broken.
-pub fn accessor_shape(doc: &Document, accessor: usize) -> Result<Shape> {
-    let found = accessor_layout::accessor(&doc.json, accessor)?;
-    Ok(Shape { component_type: found.component, kind: found.kind, normalized: found.normalized, count: found.count })
+pub fn accessor_shape(doc: &Document, accessor: usize) -> Result<AccessorLayout> {
+    accessor_layout::accessor(&doc.json, accessor)
 }
 
 /// Number of elements of an accessor.
 ///
 /// # Errors
-/// `invalid_model` when there is no such accessor or a field of it is broken.
+/// As [`accessor_shape`].
 pub fn accessor_count(doc: &Document, accessor: usize) -> Result<usize> {
     Ok(accessor_shape(doc, accessor)?.count)
 }
@@ -123,8 +116,8 @@ pub fn read_vec4(doc: &Document, accessor: usize) -> Result<Vec<[f32; 4]>> {
 /// `invalid_model` at the accessor, when it has another number of components or leaves its buffer.
 pub fn read_vec<const N: usize>(doc: &Document, accessor: usize) -> Result<Vec<[f32; N]>> {
     let raw = raw_elements(doc, accessor)?;
-    if raw.kind.components() != N || raw.element_size != N * raw.component_type.size() || raw.kind == Kind::Mat2 {
-        let message = format!("the accessor is a {}, and {N} components are expected", raw.kind.name());
+    if raw.kind.multiplicity() != N || raw.kind == Kind::Mat2 {
+        let message = format!("the accessor is a {}, and {N} components are expected", kind_name(raw.kind));
         return Err(Failure::model(message).at(format!("/accessors/{accessor}")));
     }
     // Division, not multiplication by the inverse: 255 must give exactly 1.
@@ -153,21 +146,25 @@ fn convert<const S: usize, const N: usize>(data: &[u8], one: impl Fn([u8; S]) ->
 pub fn read_indices(doc: &Document, accessor: usize) -> Result<Vec<u32>> {
     let kind = accessor_shape(doc, accessor)?.kind;
     if kind != Kind::Scalar {
-        let message = format!("indices are a {}, not SCALAR", kind.name());
+        let message = format!("indices are a {}, not SCALAR", kind_name(kind));
         return Err(Failure::model(message).at(format!("/accessors/{accessor}/type")));
     }
     let raw = raw_elements(doc, accessor)?;
-    unsigned(raw.component_type, &raw.data).ok_or_else(|| {
-        let message = format!("indices have componentType {}, not 5121, 5123 or 5125", raw.component_type.gl());
-        Failure::model(message).at(format!("/accessors/{accessor}/componentType"))
+    raw.unsigned().ok_or_else(|| {
+        let found = raw.component_type.as_gl_enum();
+        Failure::model(format!("indices have componentType {found}, not 5121, 5123 or 5125"))
+            .at(format!("/accessors/{accessor}/componentType"))
     })
 }
 
 fn unsigned(component: ComponentType, data: &[u8]) -> Option<Vec<u32>> {
+    fn widened<T: Item + Into<u32>>(data: &[u8]) -> Vec<u32> {
+        ItemIter::<T>::new(data, size_of::<T>()).map(Into::into).collect()
+    }
     Some(match component {
-        ComponentType::U8 => data.iter().map(|b| u32::from(*b)).collect(),
-        ComponentType::U16 => data.as_chunks().0.iter().map(|b| u32::from(u16::from_le_bytes(*b))).collect(),
-        ComponentType::U32 => data.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect(),
+        ComponentType::U8 => widened::<u8>(data),
+        ComponentType::U16 => widened::<u16>(data),
+        ComponentType::U32 => widened::<u32>(data),
         _ => return None,
     })
 }
@@ -178,19 +175,11 @@ fn unsigned(component: ComponentType, data: &[u8]) -> Option<Vec<u32>> {
 /// `invalid_model` with a pointer, when the accessor or its sparse part is broken or leaves its buffer.
 pub fn raw_elements(doc: &Document, accessor: usize) -> Result<RawAccessor> {
     let found = accessor_layout::accessor(&doc.json, accessor)?;
-    let size = found.element_size();
     let mut data = dense(doc, &found, accessor)?;
     if let Some(sparse) = &found.sparse {
-        replace(doc, sparse, &mut data, size, accessor)?;
+        replace(doc, sparse, &mut data, found.element_size(), accessor)?;
     }
-    Ok(RawAccessor {
-        component_type: found.component,
-        kind: found.kind,
-        normalized: found.normalized,
-        element_size: size,
-        count: found.count,
-        data,
-    })
+    Ok(RawAccessor::new(found.component_type, found.kind, found.normalized, data))
 }
 
 fn dense(doc: &Document, accessor: &AccessorLayout, index: usize) -> Result<Vec<u8>> {
@@ -209,29 +198,26 @@ fn dense(doc: &Document, accessor: &AccessorLayout, index: usize) -> Result<Vec<
     Ok(data)
 }
 
-fn replace(doc: &Document, sparse: &SparseLayout, data: &mut [u8], size: usize, index: usize) -> Result<()> {
-    let pointer = |name: &str| format!("/accessors/{index}/sparse/{name}");
-    let part = |(view, offset): (usize, usize), size: usize, name: &str| {
-        let bytes = doc.view_bytes(view)?;
-        let end = offset.checked_add(sparse.count * size);
-        end.and_then(|end| bytes.get(offset..end))
-            .ok_or_else(|| Failure::model(format!("sparse {name} leave their bufferView")).at(pointer(name)))
-    };
-    let indices = part(sparse.indices, sparse.component.size(), "indices")?;
-    let values = part(sparse.values, size, "values")?;
-    let count = data.len() / size.max(1);
+fn replace(doc: &Document, sparse: &Sparse, data: &mut [u8], size: usize, index: usize) -> Result<()> {
+    let at = |name: &str| format!("/accessors/{index}/sparse/{name}");
+    let mut parts = [&[][..]; 2];
+    for (part, (name, view, offset, size)) in parts.iter_mut().zip(sparse_parts(sparse, size)) {
+        let end = offset.checked_add(sparse.count.0 as usize * size);
+        let bytes = end.and_then(|end| doc.view_bytes(view).ok()?.get(offset..end));
+        *part = bytes.ok_or_else(|| Failure::model(format!("sparse {name} leave their bufferView")).at(at(name)))?;
+    }
+    let [indices, values] = parts;
+    let targets = valid(sparse.indices.component_type).and_then(|component| unsigned(component.0, indices));
+    let count = data.len() / size;
     let mut last = None;
-    for (target, value) in unsigned(sparse.component, indices).unwrap_or_default().into_iter().zip(values.chunks(size))
-    {
-        if last.is_some_and(|l| target <= l) {
-            let message = format!("sparse indices must rise strictly, and {target} follows {}", last.unwrap_or(0));
-            return Err(Failure::model(message).at(pointer("indices")));
+    for (target, value) in targets.into_iter().flatten().zip(values.chunks(size)) {
+        if let Some(last) = last.replace(target).filter(|last| target <= *last) {
+            let message = format!("sparse indices must rise strictly, and {target} follows {last}");
+            return Err(Failure::model(message).at(at("indices")));
         }
-        last = Some(target);
-        let start = (target as usize).checked_mul(size);
-        let place = start.and_then(|start| data.get_mut(start..start + size)).ok_or_else(|| {
+        let place = data.chunks_exact_mut(size).nth(target as usize).ok_or_else(|| {
             Failure::model(format!("sparse index {target} is out of range: the accessor has {count} elements"))
-                .at(pointer("indices"))
+                .at(at("indices"))
         })?;
         place.copy_from_slice(value);
     }

@@ -1,9 +1,11 @@
 //! Adding data to a document: everything new goes to the end of buffer 0.
 
+use gltf::accessor::Item;
+use gltf::accessor::util::ItemIter;
 use serde_json::{Map, Number, Value, json};
 
+use super::ComponentType;
 use super::accessor::RawAccessor;
-use super::accessor_type::ComponentType;
 use super::document::Document;
 
 /// `bufferView.target` of vertex attributes.
@@ -24,9 +26,9 @@ impl Document {
         let view = self.append_elements(raw, target);
         let mut object = json!({
             "bufferView": view,
-            "componentType": raw.component_type.gl(),
+            "componentType": raw.component_type,
             "count": raw.count,
-            "type": raw.kind.name(),
+            "type": raw.kind,
         });
         if raw.normalized {
             object["normalized"] = Value::Bool(true);
@@ -121,50 +123,32 @@ impl Document {
     }
 }
 
-/// Writes `min` and `max` of the elements into their accessor's object; nothing where there are none.
+/// Writes `min` and `max` of the elements into their accessor's object, as the stored components (normalised integers as
+/// integers); nothing where there are none.
 pub(crate) fn set_bounds(object: &mut Value, raw: &RawAccessor) {
-    if raw.count > 0 {
-        let (min, max) = min_max(raw);
-        object["min"] = Value::Array(min);
-        object["max"] = Value::Array(max);
+    match raw.component_type {
+        _ if raw.count == 0 => {}
+        ComponentType::I8 => set_bounds_of::<i8>(object, raw),
+        ComponentType::U8 => set_bounds_of::<u8>(object, raw),
+        ComponentType::I16 => set_bounds_of::<i16>(object, raw),
+        ComponentType::U16 => set_bounds_of::<u16>(object, raw),
+        ComponentType::U32 => set_bounds_of::<u32>(object, raw),
+        ComponentType::F32 => set_bounds_of::<f32>(object, raw),
     }
 }
 
-/// Least and greatest value of each component, as the stored components (normalised integers as integers).
-fn min_max(raw: &RawAccessor) -> (Vec<Value>, Vec<Value>) {
-    let components = raw.kind.components();
-    let size = raw.component_type.size();
-    let mut min = vec![f64::INFINITY; components];
-    let mut max = vec![f64::NEG_INFINITY; components];
-    for element in raw.data.chunks_exact(raw.element_size.max(1)) {
-        for (component, bytes) in element.chunks_exact(size).take(components).enumerate() {
-            let value = component_value(raw.component_type, bytes);
-            if let (Some(low), Some(high)) = (min.get_mut(component), max.get_mut(component)) {
-                *low = low.min(value);
-                *high = high.max(value);
-            }
+fn set_bounds_of<T: Item + Into<f64>>(object: &mut Value, raw: &RawAccessor) {
+    let mut bounds = vec![(f64::INFINITY, f64::NEG_INFINITY); raw.kind.multiplicity()];
+    for element in raw.data.chunks_exact(raw.element_size) {
+        for ((low, high), value) in bounds.iter_mut().zip(ItemIter::<T>::new(element, size_of::<T>())) {
+            let value = value.into();
+            (*low, *high) = (low.min(value), high.max(value));
         }
     }
-    let values = |all: Vec<f64>| all.into_iter().map(|v| number(v, raw.component_type)).collect();
-    (values(min), values(max))
-}
-
-fn component_value(component: ComponentType, bytes: &[u8]) -> f64 {
-    match (component, bytes) {
-        (ComponentType::I8, [a]) => f64::from(*a as i8),
-        (ComponentType::U8, [a]) => f64::from(*a),
-        (ComponentType::I16, [a, b]) => f64::from(i16::from_le_bytes([*a, *b])),
-        (ComponentType::U16, [a, b]) => f64::from(u16::from_le_bytes([*a, *b])),
-        (ComponentType::U32, [a, b, c, d]) => f64::from(u32::from_le_bytes([*a, *b, *c, *d])),
-        (ComponentType::F32, [a, b, c, d]) => f64::from(f32::from_le_bytes([*a, *b, *c, *d])),
-        _ => 0.0,
-    }
-}
-
-fn number(value: f64, component: ComponentType) -> Value {
-    if component == ComponentType::F32 {
-        Number::from_f64(value).map_or(Value::from(0), Value::Number)
-    } else {
-        Value::from(value as i64)
-    }
+    let number = |value: f64| match raw.component_type {
+        ComponentType::F32 => Number::from_f64(value).map_or(Value::from(0), Value::Number),
+        _ => Value::from(value as i64),
+    };
+    object["min"] = bounds.iter().map(|(low, _)| number(*low)).collect();
+    object["max"] = bounds.iter().map(|(_, high)| number(*high)).collect();
 }

@@ -4,10 +4,11 @@ use std::borrow::Cow;
 
 use serde_json::Value;
 
-use super::accessor_layout::{self, list, whole};
+use super::accessor_layout;
 use super::compression;
 use super::document::{Document, Merging};
 use super::extensions;
+use super::json::{array, list, object, read_key};
 use super::limits::{Budget, Limits};
 use super::nodes;
 use super::primitive::declared_triangles;
@@ -48,20 +49,16 @@ fn check_header(json: &Value) -> Result<()> {
     if !json.is_object() {
         return Err(Failure::model("the glTF JSON is not an object").at(""));
     }
-    let asset = json.get("asset").and_then(Value::as_object);
-    let asset =
-        asset.ok_or_else(|| Failure::model("the asset object, with the glTF version, is missing").at("/asset"))?;
+    let asset = object(json, "asset")
+        .ok_or_else(|| Failure::model("the asset object, with the glTF version, is missing").at("/asset"))?;
     let version = asset.get("version").and_then(Value::as_str).unwrap_or_default();
     if major(version) != Some(2) {
         let message = format!("glTF version {} is not supported, only 2.x is", quote(version));
         return Err(Failure::model(message).at("/asset/version"));
     }
-    if let Some(least) = asset.get("minVersion") {
-        let least = least.as_str().unwrap_or_default();
-        if least != "2.0" {
-            let message = format!("the model needs a reader of glTF {}, and this one reads 2.0", quote(least));
-            return Err(Failure::model(message).at("/asset/minVersion"));
-        }
+    if let Some(least) = asset.get("minVersion").map(|v| v.as_str().unwrap_or_default()).filter(|v| *v != "2.0") {
+        let message = format!("the model needs a reader of glTF {}, and this one reads 2.0", quote(least));
+        return Err(Failure::model(message).at("/asset/minVersion"));
     }
     for (index, name) in list(json, "extensionsRequired")?.iter().enumerate() {
         let name = name.as_str().unwrap_or_default();
@@ -109,39 +106,27 @@ fn buffers(
     let placeholders = compression::placeholders(json)?;
     let mut buffers = Vec::new();
     let mut bin_used = false;
-    for index in 0..list(json, "buffers")?.len() {
-        let object = accessor_layout::element(json, "buffers", index)?;
+    for (index, object) in list(json, "buffers")?.iter().enumerate() {
         let pointer = format!("/buffers/{index}");
-        let at_uri = format!("{pointer}/uri");
-        let length = whole(object, "byteLength", &pointer)?
+        let length: usize = read_key(object, "byteLength", &pointer)?
             .ok_or_else(|| Failure::model("byteLength is missing").at(pointer.clone()))?;
         if placeholders.contains(&index) {
             buffers.push(Vec::new());
             continue;
         }
-        let found: Cow<'_, [u8]> = match (object.get("uri"), bin) {
+        let found = match (object.get("uri"), bin) {
+            (Some(Value::String(uri)), _) => contents(uri, path, upload, "buffer's"),
+            (Some(_), _) => Err(Failure::model("uri is not a string")),
             (None, Some(bin)) if index == 0 => {
                 bin_used = true;
-                Cow::Borrowed(bin)
+                Ok(Cow::Borrowed(bin))
             }
             (None, _) => {
-                return Err(
-                    Failure::model("the buffer has no uri, and there is no GLB binary chunk for it").at(pointer)
-                );
+                let message = "the buffer has no uri, and there is no GLB binary chunk for it";
+                return Err(Failure::model(message).at(pointer));
             }
-            (Some(Value::String(data)), _) if uri::is_data(data) => {
-                Cow::Owned(uri::parse_data(data).map_err(|e| Failure::model(e).at(at_uri.clone()))?.bytes)
-            }
-            (Some(Value::String(relative)), _) => {
-                let resolved = uri::resolve(path, relative).map_err(|e| Failure::model(e).at(at_uri.clone()))?;
-                let file = upload.find(&resolved).ok_or_else(|| {
-                    let message = format!("the buffer's file {} was not uploaded", quote(relative));
-                    Failure::new(Code::MissingFile, message).at(at_uri.clone())
-                })?;
-                Cow::Borrowed(&*file.bytes)
-            }
-            (Some(_), _) => return Err(Failure::model("uri is not a string").at(at_uri)),
         };
+        let found = found.map_err(|e| e.at(format!("{pointer}/uri")))?;
         let bytes = found.get(..length).ok_or_else(|| {
             let message = format!("the buffer declares {length} bytes, and {} are there", found.len());
             Failure::model(message).at(format!("{pointer}/byteLength"))
@@ -155,6 +140,17 @@ fn buffers(
     Ok(buffers)
 }
 
+/// What a URI in the model at `path` stands for. `whose` file it is, is told where it is not there.
+fn contents<'a>(uri: &str, path: &str, upload: &'a Upload<'_>, whose: &str) -> Result<Cow<'a, [u8]>> {
+    if uri::is_data(uri) {
+        return uri::parse_data(uri).map(Cow::Owned).map_err(Failure::model);
+    }
+    let file = upload
+        .find(&uri::resolve(path, uri).map_err(Failure::model)?)
+        .ok_or_else(|| Failure::new(Code::MissingFile, format!("the {whose} file {} was not uploaded", quote(uri))))?;
+    Ok(Cow::Borrowed(&*file.bytes))
+}
+
 fn images(
     document: &Document,
     path: &str,
@@ -163,37 +159,24 @@ fn images(
     warnings: &mut Vec<Warning>,
 ) -> Result<Vec<Option<Vec<u8>>>> {
     let mut images = Vec::new();
-    for index in 0..list(&document.json, "images")?.len() {
-        let object = accessor_layout::element(&document.json, "images", index)?;
+    for (index, object) in list(&document.json, "images")?.iter().enumerate() {
         let pointer = format!("/images/{index}");
-        let mut missing = |code: &str, why: String| {
-            warnings.push(Warning::new(code, why).at(pointer.clone()));
-            None
-        };
-        let found = if let Some(view) = whole(object, "bufferView", &pointer)? {
-            let bytes = document.view_bytes(view).map_err(|e| e.at(format!("{pointer}/bufferView")))?;
-            Some(Cow::Borrowed(bytes))
-        } else {
-            match object.get("uri").and_then(Value::as_str) {
-                None => missing("missing_image", "the image has neither a uri nor a bufferView".to_owned()),
-                Some(data) if uri::is_data(data) => match uri::parse_data(data) {
-                    Ok(found) => Some(Cow::Owned(found.bytes)),
-                    Err(why) => missing("invalid_image", why),
-                },
-                Some(relative) => match uri::resolve(path, relative) {
-                    Err(why) => missing("missing_image", why),
-                    Ok(resolved) => match upload.find(&resolved) {
-                        Some(file) => Some(Cow::Borrowed(&*file.bytes)),
-                        None => {
-                            missing("missing_image", format!("the image file {} was not uploaded", quote(relative)))
-                        }
-                    },
-                },
+        let uri = object.get("uri").and_then(Value::as_str);
+        let found = match (read_key(object, "bufferView", &pointer)?, uri) {
+            (Some(view), _) => {
+                let bytes = document.view_bytes(view).map_err(|e| e.at(format!("{pointer}/bufferView")))?;
+                Ok(Cow::Borrowed(bytes))
             }
+            (None, Some(uri)) => contents(uri, path, upload, "image"),
+            (None, None) => Err(Failure::model("the image has neither a uri nor a bufferView")),
         };
         images.push(match found {
-            Some(bytes) => Some(budget.take(&bytes, &pointer)?),
-            None => None,
+            Ok(bytes) => Some(budget.take(&bytes, &pointer)?),
+            Err(failure) => {
+                let code = if uri.is_some_and(uri::is_data) { "invalid_image" } else { "missing_image" };
+                warnings.push(Warning::new(code, failure.message).at(pointer));
+                None
+            }
         });
     }
     Ok(images)
@@ -203,7 +186,8 @@ fn images(
 fn check_triangles(json: &Value, limits: &Limits) -> Result<()> {
     let mut total: u64 = 0;
     for (mesh, object) in list(json, "meshes")?.iter().enumerate() {
-        total = total.saturating_add(declared_triangles(json, object));
+        let own = array(object, "primitives").iter().map(|primitive| declared_triangles(json, primitive));
+        total = own.fold(total, u64::saturating_add);
         if total > limits.max_triangles {
             let message = format!("the model has more than {} triangles", limits.max_triangles);
             return Err(Failure::new(Code::TooLarge, message).at(format!("/meshes/{mesh}")));

@@ -1,8 +1,12 @@
 //! The table of glTF extensions: what Intarsia knows of each, asked wherever an extension matters.
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 
+use super::json::array;
 use crate::texture::Role;
+
+/// Where a document declares its extensions.
+const DECLARATIONS: [&str; 2] = ["extensionsUsed", "extensionsRequired"];
 
 /// Texture transforms of a texture info.
 pub(crate) const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
@@ -189,28 +193,51 @@ pub(crate) fn on_primitive(name: &str) -> OnPrimitive {
     find(name).map_or(OnPrimitive::Unknown, |e| e.on_primitive)
 }
 
-/// Whether every extension of a document, declared or not, is understood: no array of it is referred to unseen.
-pub(crate) fn all_understood(json: &Value) -> bool {
-    let declared =
-        ["extensionsUsed", "extensionsRequired"].into_iter().filter_map(|k| json.get(k)?.as_array()).flatten();
-    if !declared.filter_map(Value::as_str).all(is_understood) {
-        return false;
-    }
+/// Every `extensions` of a document outside its extras.
+pub(crate) fn used(json: &Value) -> Vec<&Value> {
+    let mut used = Vec::new();
     let mut stack = vec![json];
     while let Some(value) = stack.pop() {
         match value {
             Value::Array(values) => stack.extend(values),
             Value::Object(object) => {
-                let extensions = object.get("extensions").and_then(Value::as_object);
-                if extensions.is_some_and(|e| !e.keys().all(|name| is_understood(name))) {
-                    return false;
-                }
+                used.extend(object.get("extensions"));
                 stack.extend(object.iter().filter(|(key, _)| *key != "extras").map(|(_, value)| value));
             }
             _ => {}
         }
     }
-    true
+    used
+}
+
+/// Whether every extension of a document, declared or not, is understood: no array of it is referred to unseen.
+pub(crate) fn all_understood(json: &Value) -> bool {
+    let mut declared = DECLARATIONS.into_iter().flat_map(|key| array(json, key)).filter_map(Value::as_str);
+    let mut used = used(json).into_iter().filter_map(Value::as_object).flat_map(|e| e.keys());
+    declared.all(is_understood) && used.all(|name| is_understood(name))
+}
+
+/// Leaves of the extensions of a glTF object those that are to be kept.
+pub(crate) fn retain(owner: &mut Map<String, Value>, kept: impl Fn(&str) -> bool) {
+    let Some(own) = owner.get_mut("extensions").and_then(Value::as_object_mut) else { return };
+    let before = own.len();
+    own.retain(|name, _| kept(name));
+    if own.is_empty() && before > 0 {
+        owner.shift_remove("extensions");
+    }
+}
+
+/// Removes an extension from the lists of those that are used and required.
+pub(crate) fn undeclare(json: &mut Value, name: &str) {
+    let Some(root) = json.as_object_mut() else { return };
+    for key in DECLARATIONS {
+        let Some(list) = root.get_mut(key).and_then(Value::as_array_mut) else { continue };
+        let before = list.len();
+        list.retain(|n| n.as_str() != Some(name));
+        if list.is_empty() && before > 0 {
+            root.shift_remove(key);
+        }
+    }
 }
 
 #[cfg(test)]

@@ -64,11 +64,7 @@ impl<'a> GeometryReader<'a> {
         let value = self.doc.json.pointer(&pointer);
         let value = value.ok_or_else(|| Failure::model("the primitive does not exist").at(&*pointer))?;
         let accessors = array(&self.doc.json, "accessors").len();
-        let attribute = |name: &str| {
-            let at = format!("{pointer}/attributes");
-            let found = value.get("attributes").map(|a| index(a, name, accessors, &at)).transpose()?.flatten();
-            found.ok_or_else(|| Failure::model(format!("the primitive has no {name}")).at(at))
-        };
+        let attribute = |name: &str| attribute(self.doc, &pointer, name);
         let name = layout.map(|l| format!("TEXCOORD_{}", l.uv_set));
         let (p, t) = (attribute("POSITION")?, name.as_deref().map(attribute).transpose()?);
         let positions = cached(&mut self.positions, p, || read_vec3(self.doc, p), "POSITION")?;
@@ -102,13 +98,17 @@ impl<'a> GeometryReader<'a> {
     }
 }
 
+/// The accessor of an attribute of the primitive at `pointer`.
+fn attribute(doc: &Document, pointer: &str, name: &str) -> Result<usize> {
+    let at = format!("{pointer}/attributes");
+    let attributes = doc.json.pointer(&at).unwrap_or(&serde_json::Value::Null);
+    let found = index(attributes, name, array(&doc.json, "accessors").len(), &at)?;
+    found.ok_or_else(|| Failure::model(format!("the primitive has no {name}")).at(at))
+}
+
 /// The number of vertices of a primitive, as its POSITION accessor declares it.
 pub(crate) fn vertex_count(doc: &Document, pointer: &str) -> Result<usize> {
-    let attributes = format!("{pointer}/attributes");
-    let value = doc.json.pointer(&attributes).unwrap_or(&serde_json::Value::Null);
-    let position = index(value, "POSITION", array(&doc.json, "accessors").len(), &attributes)?;
-    let position = position.ok_or_else(|| Failure::model("the primitive has no POSITION").at(attributes))?;
-    accessor_count(doc, position)
+    accessor_count(doc, attribute(doc, pointer, "POSITION")?)
 }
 
 fn too_many() -> Failure {

@@ -25,36 +25,23 @@ pub(crate) fn parse<'a>(bytes: &'a [u8], warnings: &mut Vec<Warning>) -> Result<
         return Err(Failure::model("the file does not begin with the GLB magic \"glTF\""));
     }
     let (Some(version), Some(length)) = (word(bytes, 4), word(bytes, 8)) else {
-        return Err(Failure::model(format!(
-            "the GLB header is truncated: 12 bytes are needed, {} are there",
-            bytes.len()
-        )));
+        let there = bytes.len();
+        return Err(Failure::model(format!("the GLB header is truncated: 12 bytes are needed, {there} are there")));
     };
     if version != 2 {
         return Err(Failure::model(format!("GLB version {version} is not supported, only version 2 is")));
     }
-    let length = length as usize;
-    let bytes = bytes
-        .get(..length)
-        .filter(|_| length >= 12)
-        .ok_or_else(|| {
-            Failure::model(format!(
-                "the GLB header declares {length} bytes, and the file has {}: it is truncated or damaged",
-                bytes.len()
-            ))
-        })
-        .inspect(|inside| {
-            if inside.len() < bytes.len() {
-                let extra = bytes.len() - inside.len();
-                warnings.push(Warning::new(
-                    "trailing_bytes",
-                    format!("{extra} bytes after the end of the GLB are ignored"),
-                ));
-            }
-        })?;
+    let (length, there) = (length as usize, bytes.len());
+    let bytes = bytes.get(..length).filter(|_| length >= 12).ok_or_else(|| {
+        let declared = format!("the GLB header declares {length} bytes, and the file has {there}");
+        Failure::model(format!("{declared}: it is truncated or damaged"))
+    })?;
+    if length < there {
+        let message = format!("{} bytes after the end of the GLB are ignored", there - length);
+        warnings.push(Warning::new("trailing_bytes", message));
+    }
     let mut chunks: (Option<&[u8]>, Option<&[u8]>) = (None, None);
-    let mut at = 12;
-    let mut index = 0;
+    let (mut at, mut index) = (12, 0);
     while at < bytes.len() {
         let (Some(size), Some(kind)) = (word(bytes, at), word(bytes, at + 4)) else {
             return Err(Failure::model(format!("the header of GLB chunk {index} is truncated")));
@@ -73,14 +60,13 @@ pub(crate) fn parse<'a>(bytes: &'a [u8], warnings: &mut Vec<Warning>) -> Result<
             (0, _) => return Err(Failure::model("the first GLB chunk is not the JSON chunk")),
             (1, BIN) => chunks.1 = Some(body),
             (_, JSON | BIN) => {
-                return Err(Failure::model(format!(
-                    "GLB chunk {index} is out of order: JSON is first, BIN second, once each"
-                )));
+                let message = format!("GLB chunk {index} is out of order: JSON is first, BIN second, once each");
+                return Err(Failure::model(message));
             }
-            _ => warnings.push(Warning::new(
-                "unknown_chunk",
-                format!("GLB chunk {index} of unknown type {kind:#010x} is dropped"),
-            )),
+            _ => {
+                let message = format!("GLB chunk {index} of unknown type {kind:#010x} is dropped");
+                warnings.push(Warning::new("unknown_chunk", message));
+            }
         }
         at = start + body.len();
         index += 1;

@@ -2,11 +2,13 @@
 
 use std::collections::BTreeSet;
 
+use gltf::json::texture::{MinFilter, Sampler, WrappingMode};
 use serde_json::Value;
 
+use super::accessor_layout::valid;
 use super::document::Document;
 use super::extensions::{self, ANIMATION_POINTER, ANISOTROPY, TEXTURE_TRANSFORM, VARIANTS, is_image_source};
-use super::json::{array, checked, index, object};
+use super::json::{array, checked, index, number, object, typed};
 use super::primitive::primitive_pointer;
 use super::transform::{TextureTransform, UvLayout};
 use crate::error::{Code, Failure, Result};
@@ -132,10 +134,10 @@ impl MaterialIndex {
         }
         let primitives = primitives(json)?;
         let mut named = (BTreeSet::new(), BTreeSet::new());
-        for (key, value) in json.as_object().into_iter().flatten() {
-            if key != "materials" && key != "textures" {
-                named_by_extensions(value, &mut named);
-            }
+        // What is not understood may read the images and textures that it names: they must stay as they are.
+        for (_, value) in json.as_object().into_iter().flatten().filter(|(k, _)| *k != "materials" && *k != "textures")
+        {
+            extensions::used(value).iter().for_each(|own| collect_names(own, &mut named));
         }
         for texture in array(json, "textures") {
             let own = object(texture, "extensions").into_iter().flatten();
@@ -209,20 +211,19 @@ fn texture(json: &Value, i: usize, value: &Value) -> Result<Texture> {
             }
         }
     }
-    let samplers = array(json, "samplers");
-    let sampler = index(value, "sampler", samplers.len(), &pointer)?;
-    let settings = sampler.and_then(|s| samplers.get(s));
-    let number = |key: &str| settings.and_then(|s| s.get(key)).and_then(Value::as_u64);
-    let wrap = |key: &str| match number(key) {
-        Some(33071) => Wrap::ClampToEdge,
-        Some(33648) => Wrap::MirroredRepeat,
-        _ => Wrap::Repeat,
+    let sampler = index(value, "sampler", array(json, "samplers").len(), &pointer)?;
+    let settings: Sampler = sampler.map(|s| typed(json, "samplers", s)).transpose()?.unwrap_or_default();
+    let wrap = |mode| match valid(mode) {
+        Some(WrappingMode::ClampToEdge) => Wrap::ClampToEdge,
+        Some(WrappingMode::MirroredRepeat) => Wrap::MirroredRepeat,
+        Some(WrappingMode::Repeat) | None => Wrap::Repeat,
     };
+    let filter = settings.min_filter.and_then(valid);
     Ok(Texture {
         image,
         sampler,
-        wrap: [wrap("wrapS"), wrap("wrapT")],
-        mipmaps: !matches!(number("minFilter"), Some(9728 | 9729)),
+        wrap: [wrap(settings.wrap_s), wrap(settings.wrap_t)],
+        mipmaps: !matches!(filter, Some(MinFilter::Nearest | MinFilter::Linear)),
         fallback,
         extended: own.is_some_and(|e| !e.keys().all(|name| is_image_source(name))),
     })
@@ -347,24 +348,6 @@ fn animated_transforms(json: &Value) -> BTreeSet<usize> {
         .collect()
 }
 
-/// Images and textures named below an `extensions` object anywhere in `value`: what is not understood
-/// may read them, so they must stay as they are.
-fn named_by_extensions(value: &Value, named: &mut (BTreeSet<usize>, BTreeSet<usize>)) {
-    match value {
-        Value::Object(map) => {
-            for (key, child) in map {
-                if key == "extensions" {
-                    collect_names(child, named);
-                } else if key != "extras" {
-                    named_by_extensions(child, named);
-                }
-            }
-        }
-        Value::Array(items) => items.iter().for_each(|child| named_by_extensions(child, named)),
-        _ => {}
-    }
-}
-
 /// Integers below keys that speak of images or textures.
 fn collect_names(value: &Value, named: &mut (BTreeSet<usize>, BTreeSet<usize>)) {
     let Some(map) = value.as_object() else {
@@ -384,7 +367,7 @@ fn collect_names(value: &Value, named: &mut (BTreeSet<usize>, BTreeSet<usize>)) 
 
 fn integers(value: &Value, into: &mut BTreeSet<usize>) {
     match value {
-        Value::Number(n) => into.extend(n.as_u64().and_then(|n| usize::try_from(n).ok())),
+        Value::Number(_) => into.extend(number(value)),
         Value::Array(items) => items.iter().for_each(|child| integers(child, into)),
         Value::Object(map) => map.values().for_each(|child| integers(child, into)),
         _ => {}

@@ -17,7 +17,6 @@
 
 mod accessor;
 mod accessor_layout;
-mod accessor_type;
 mod append;
 mod archive;
 mod buffers;
@@ -43,14 +42,14 @@ mod upload;
 mod uri;
 
 pub use accessor::{
-    RawAccessor, Shape, accessor_count, accessor_shape, raw_elements, read_indices, read_vec, read_vec2, read_vec3,
-    read_vec4,
+    RawAccessor, accessor_count, accessor_shape, raw_elements, read_indices, read_vec, read_vec2, read_vec3, read_vec4,
 };
-pub use accessor_type::{ComponentType, Kind};
+pub use accessor_layout::{AccessorLayout, kind_name};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
 pub(crate) use archive::check_entries;
 pub use document::{Document, File, Merging};
 pub use estimate::{Estimate, estimate};
+pub use gltf::json::accessor::{ComponentType, Type as Kind};
 pub use limits::Limits;
 pub use load::{load, load_while, side_file};
 pub use material_index::MaterialIndex;
@@ -72,8 +71,9 @@ mod transform;
 mod uv_tiles;
 mod write;
 
+pub(crate) use primitive::declared_triangles;
 pub use read::read;
-pub(crate) use sets::grid;
+pub(crate) use sets::{grid, lcm};
 pub use sets::{is_small, mark_uniform, small_slot_warning};
 pub use texture_set::{PrimitiveRef, TextureSet};
 pub use transform::{TextureTransform, UvLayout};

@@ -6,17 +6,16 @@
 use serde_json::Value;
 
 use super::extensions::GPU_INSTANCING;
+use super::json::{array, each_mut, keep, new_numbers, number, renumber};
 
 /// Takes out accessors and buffer views that nothing refers to, and numbers the others anew. Gives which of the
 /// views stay; none, with the document untouched, when a reference is broken.
 pub(crate) fn prune(json: &mut Value) -> Option<Vec<bool>> {
     let used_accessors = used(json, "accessors", each_accessor)?;
     let mut pruned = json.clone();
-    retain(&mut pruned, "accessors", &used_accessors);
-    renumber(&mut pruned, &used_accessors, each_accessor);
+    retain(&mut pruned, "accessors", &used_accessors, each_accessor);
     let used_views = used(&mut pruned, "bufferViews", each_view)?;
-    retain(&mut pruned, "bufferViews", &used_views);
-    renumber(&mut pruned, &used_views, each_view);
+    retain(&mut pruned, "bufferViews", &used_views, each_view);
     *json = pruned;
     Some(used_views)
 }
@@ -24,78 +23,58 @@ pub(crate) fn prune(json: &mut Value) -> Option<Vec<bool>> {
 type Each = fn(&mut Value, &mut dyn FnMut(&mut Value));
 
 fn used(json: &mut Value, key: &str, each: Each) -> Option<Vec<bool>> {
-    let count = json.get(key).and_then(Value::as_array).map_or(0, Vec::len);
-    let mut used = vec![false; count];
+    let mut used = vec![false; array(json, key).len()];
     let mut broken = false;
-    each(json, &mut |index| {
-        let slot = index.as_u64().and_then(|i| used.get_mut(usize::try_from(i).ok()?));
-        match slot {
-            Some(slot) => *slot = true,
-            None => broken = true,
-        }
+    each(json, &mut |index| match number(index).and_then(|i| used.get_mut(i)) {
+        Some(used) => *used = true,
+        None => broken = true,
     });
     (!broken).then_some(used)
 }
 
-fn retain(json: &mut Value, key: &str, used: &[bool]) {
-    let Some(array) = json.get_mut(key).and_then(Value::as_array_mut) else { return };
-    let mut keep = used.iter();
-    array.retain(|_| keep.next().copied().unwrap_or(true));
-    if array.is_empty()
-        && let Some(root) = json.as_object_mut()
-    {
-        root.shift_remove(key);
-    }
-}
-
-fn renumber(json: &mut Value, used: &[bool], each: Each) {
-    let mut next = 0;
-    let numbers: Vec<u64> = used
-        .iter()
-        .map(|used| {
-            let number = next;
-            next += u64::from(*used);
-            number
-        })
-        .collect();
-    each(json, &mut |index| {
-        let number = index.as_u64().and_then(|i| numbers.get(usize::try_from(i).ok()?));
-        // Equal values stay as they are written.
-        if let Some(number) = number.filter(|n| index.as_u64() != Some(**n)) {
-            *index = Value::from(*number);
+/// Takes out what is not used, and numbers the others anew.
+fn retain(json: &mut Value, key: &str, used: &[bool], each: Each) {
+    if let Some(array) = json.get_mut(key).and_then(Value::as_array_mut) {
+        keep(array, |index| used[index]);
+        if array.is_empty()
+            && let Some(root) = json.as_object_mut()
+        {
+            root.shift_remove(key);
         }
-    });
+    }
+    let new = new_numbers(used);
+    each(json, &mut |index| renumber(index, &new));
 }
 
 /// Calls `f` with every reference to an accessor.
 fn each_accessor(json: &mut Value, f: &mut dyn FnMut(&mut Value)) {
-    for mesh in objects(json, "meshes") {
-        for primitive in objects(mesh, "primitives") {
+    for mesh in each_mut(json, "meshes") {
+        for primitive in each_mut(mesh, "primitives") {
             fields(primitive.get_mut("attributes"), f);
             field(primitive, "indices", f);
-            for target in objects(primitive, "targets") {
+            for target in each_mut(primitive, "targets") {
                 fields(Some(target), f);
             }
         }
     }
-    for animation in objects(json, "animations") {
-        for sampler in objects(animation, "samplers") {
+    for animation in each_mut(json, "animations") {
+        for sampler in each_mut(animation, "samplers") {
             field(sampler, "input", f);
             field(sampler, "output", f);
         }
     }
-    for skin in objects(json, "skins") {
+    for skin in each_mut(json, "skins") {
         field(skin, "inverseBindMatrices", f);
     }
     let instances = format!("/extensions/{GPU_INSTANCING}/attributes");
-    for node in objects(json, "nodes") {
+    for node in each_mut(json, "nodes") {
         fields(node.pointer_mut(&instances), f);
     }
 }
 
 /// Calls `f` with every reference to a buffer view.
 fn each_view(json: &mut Value, f: &mut dyn FnMut(&mut Value)) {
-    for accessor in objects(json, "accessors") {
+    for accessor in each_mut(json, "accessors") {
         field(accessor, "bufferView", f);
         for part in ["indices", "values"] {
             if let Some(part) = accessor.get_mut("sparse").and_then(|s| s.get_mut(part)) {
@@ -103,13 +82,9 @@ fn each_view(json: &mut Value, f: &mut dyn FnMut(&mut Value)) {
             }
         }
     }
-    for image in objects(json, "images") {
+    for image in each_mut(json, "images") {
         field(image, "bufferView", f);
     }
-}
-
-fn objects<'a>(value: &'a mut Value, key: &str) -> impl Iterator<Item = &'a mut Value> + use<'a> {
-    value.get_mut(key).and_then(Value::as_array_mut).into_iter().flatten()
 }
 
 fn field(value: &mut Value, key: &str, f: &mut dyn FnMut(&mut Value)) {

@@ -56,12 +56,8 @@ fn read_unmapped(
         }
     }
     planned.primitives = whole;
-    let mut atlas = weld(&geometries, planned.reference, context)?;
-    if atlas.corners.is_empty() {
-        return Ok(None);
-    }
-    set_provenance(&mut atlas, &geometries);
-    Ok(Some(texture_set(doc, index, planned, id, atlas, geometries)))
+    let atlas = joined(&geometries, planned.reference, context)?;
+    Ok(atlas.map(|atlas| texture_set(doc, index, planned, id, atlas, geometries)))
 }
 
 fn read_set(
@@ -78,11 +74,7 @@ fn read_set(
         let primitive = &index.primitives[p];
         geometries.push(reader.read(primitive.mesh, primitive.primitive, Some(layout), context)?);
     }
-    let mut atlas = weld(&geometries, planned.reference, context)?;
-    if atlas.corners.is_empty() {
-        return Ok(None);
-    }
-    set_provenance(&mut atlas, &geometries);
+    let Some(mut atlas) = joined(&geometries, planned.reference, context)? else { return Ok(None) };
     let left = |warning: Warning| {
         let first = planned.primitives.first().map(|&(p, _)| &index.primitives[p]);
         let at = planned.slots.first().map(|s| format!("/images/{}", s.image));
@@ -101,13 +93,16 @@ fn read_set(
     Ok(Some(texture_set(doc, index, planned, id, atlas, geometries)))
 }
 
-/// Every face is a whole triangle of the primitive that it came from.
-fn set_provenance(atlas: &mut Atlas, geometries: &[PrimitiveGeometry]) {
+/// The Atlas of some primitives; none where they have no triangles. Every face is a whole triangle of the primitive that it came
+/// from.
+fn joined(geometries: &[PrimitiveGeometry], sheet: [u32; 2], context: &Context) -> Result<Option<Atlas>> {
+    let mut atlas = weld(geometries, sheet, context)?;
     for (i, geometry) in geometries.iter().enumerate() {
         let first = atlas.provenance.len();
         let faces = first..first + geometry.corners.len();
         atlas.provenance.extend(faces.map(|f| Provenance::whole(FaceId::new(f), i as u32)));
     }
+    Ok((!atlas.corners.is_empty()).then_some(atlas))
 }
 
 /// The set of a finished Atlas.

@@ -6,8 +6,9 @@
 
 use serde_json::{Value, json};
 
-use super::accessor_layout::{self, list};
+use super::accessor_layout;
 use super::document::{Document, File};
+use super::json::{array_mut, list, number};
 use super::side_names::{Names, by_name, media_type, plain};
 use super::uri;
 use super::{extensions, glb, prune};
@@ -106,31 +107,20 @@ impl<'a> OutputDraft<'a> {
         let view = self.sources.len();
         let document = self.document;
         let Some(image) = self.image(index) else { return Ok(()) };
-        let named = image.get("bufferView").and_then(Value::as_u64).and_then(|v| usize::try_from(v).ok());
-        if let Some(named) = named
+        if let Some(named) = image.get("bufferView").and_then(number)
             && document.view_bytes(named)? == bytes
         {
             return Ok(());
         }
         let uri = image.shift_remove("uri");
         let media_type = media_type(bytes).or_else(|| by_name(uri.as_ref()?.as_str()?));
-        if let Some(media_type) = media_type {
-            image.insert("mimeType".to_owned(), Value::from(media_type));
-        } else if !image.contains_key("mimeType") {
-            image.insert("mimeType".to_owned(), Value::from("application/octet-stream"));
+        if media_type.is_some() || !image.contains_key("mimeType") {
+            image.insert("mimeType".to_owned(), media_type.unwrap_or("application/octet-stream").into());
         }
         image.insert("bufferView".to_owned(), Value::from(view));
         self.sources.push(ViewSource::New(bytes));
-        self.push_view(bytes.len());
+        array_mut(&mut self.json, "bufferViews")?.push(json!({ "buffer": 0, "byteLength": bytes.len() }));
         Ok(())
-    }
-
-    fn push_view(&mut self, length: usize) {
-        let view = json!({ "buffer": 0, "byteLength": length });
-        match self.json.get_mut("bufferViews").and_then(Value::as_array_mut) {
-            Some(views) => views.push(view),
-            None => self.json["bufferViews"] = json!([view]),
-        }
     }
 
     /// Makes an image a file of its own.
@@ -225,8 +215,8 @@ impl<'a> OutputDraft<'a> {
             // Compression extensions name a buffer range of their own.
             let extensions = view.get_mut("extensions").and_then(Value::as_object_mut);
             for extension in extensions.into_iter().flat_map(|e| e.values_mut()) {
-                let Some(buffer) = number(extension, "buffer") else { continue };
-                let offset = locate(placed, buffer, number(extension, "byteOffset").unwrap_or(0))?;
+                let Some(buffer) = extension.get("buffer").and_then(number) else { continue };
+                let offset = locate(placed, buffer, extension.get("byteOffset").and_then(number).unwrap_or(0))?;
                 set_number(extension, "buffer", 0, None);
                 set_number(extension, "byteOffset", offset, Some(0));
             }
@@ -271,13 +261,9 @@ fn locate(placed: &[PlacedRange], buffer: usize, offset: usize) -> Result<usize>
         .ok_or_else(|| Failure::model(format!("byte {offset} of buffer {buffer} does not exist")).at("/bufferViews"))
 }
 
-fn number(value: &Value, key: &str) -> Option<usize> {
-    value.get(key)?.as_u64().and_then(|n| usize::try_from(n).ok())
-}
-
 /// Sets a number unless it is there, or missing with this default.
 fn set_number(value: &mut Value, key: &str, wanted: usize, default: Option<usize>) {
-    let found = if value.get(key).is_none() { default } else { number(value, key) };
+    let found = value.get(key).map_or(default, number);
     if found != Some(wanted) {
         value[key] = Value::from(wanted);
     }

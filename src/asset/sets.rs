@@ -34,6 +34,12 @@ pub(crate) struct Planned {
 /// Sheet of a set without images.
 const VIRTUAL_SHEET: [u32; 2] = [1024, 1024];
 
+impl Planned {
+    fn without_images(primitives: Vec<(usize, UvLayout)>) -> Planned {
+        Planned { primitives, slots: Vec::new(), reference: VIRTUAL_SHEET, conflicts: Vec::new() }
+    }
+}
+
 /// Forms the texture sets of TEXCOORD_`uv_set`, in the order of their first primitive.
 ///
 /// # Errors
@@ -57,8 +63,7 @@ pub(crate) fn plan(doc: &Document, index: &MaterialIndex, uv_set: usize, context
         }
     }
     if sets.is_empty() && array(&doc.json, "images").is_empty() && !candidates.is_empty() {
-        let (slots, conflicts) = (Vec::new(), Vec::new());
-        sets.push(Planned { primitives: candidates, slots, reference: VIRTUAL_SHEET, conflicts });
+        sets.push(Planned::without_images(candidates));
     }
     Ok(sets)
 }
@@ -80,8 +85,7 @@ pub(crate) fn plan_unmapped(doc: &Document, index: &MaterialIndex) -> Option<Pla
     let layout = UvLayout::plain(0);
     let found = index.primitives.iter().enumerate().filter(|(_, p)| unmapped(p));
     let primitives: Vec<_> = found.map(|(p, _)| (p, layout)).collect();
-    let (slots, conflicts) = (Vec::new(), Vec::new());
-    (!primitives.is_empty()).then_some(Planned { primitives, slots, reference: VIRTUAL_SHEET, conflicts })
+    (!primitives.is_empty()).then(|| Planned::without_images(primitives))
 }
 
 /// The uses of a material that are refined with a layout.
@@ -197,29 +201,23 @@ fn may_change(
         let directions = material.uses.iter().filter(|u| u.role.is_some_and(|r| r.is_direction()));
         let (ours, others): (Vec<_>, Vec<_>) = directions.partition(|u| u.layout == layout);
         if !ours.is_empty() && !others.is_empty() {
-            left(
-                "directions_on_two_layouts",
-                "its directions are read through two layouts, and have one tangent space",
-            );
+            let text = "its directions are read through two layouts, and have one tangent space";
+            left("directions_on_two_layouts", text);
         }
         if material.untextured_anisotropy && (!ours.is_empty() || !has_tangents) {
             let text = "its anisotropy has no texture that could turn with the charts";
             left("anisotropy_without_texture", text);
         }
         for used in material.uses.iter().filter(|u| u.layout != layout || u.role.is_none()) {
-            let (code, text) = if used.layout.uv_set != layout.uv_set {
+            let (code, why) = if used.layout.uv_set != layout.uv_set {
                 let (own, refined) = (used.layout.uv_set, layout.uv_set);
-                (
-                    "other_uv_set",
-                    format!("the texture keeps its layout: it reads TEXCOORD_{own}, not TEXCOORD_{refined}"),
-                )
+                ("other_uv_set", format!("it reads TEXCOORD_{own}, not TEXCOORD_{refined}"))
             } else if used.role.is_none() {
-                let text = "the texture keeps its layout: it belongs to an extension that is not known";
-                ("material_extension_texture", text.to_owned())
+                ("material_extension_texture", "it belongs to an extension that is not known".to_owned())
             } else {
-                let text = "the texture keeps its layout: it is read through another texture transform";
-                ("other_texture_transform", text.to_owned())
+                ("other_texture_transform", "it is read through another texture transform".to_owned())
             };
+            let text = format!("the texture keeps its layout: {why}");
             context.warn(Warning::new(code, text).at(at(used)));
         }
     }
@@ -303,7 +301,7 @@ fn planned(
     for slot in &mut slots {
         let n = count.entry(slot.role).or_default();
         *n += 1;
-        slot.name = if *n == 1 { slot.role.as_str().to_owned() } else { format!("{}_{n}", slot.role.as_str()) };
+        slot.name = if *n == 1 { slot.role.to_string() } else { format!("{}_{n}", slot.role) };
     }
     // The first of the largest.
     let size = |h: &Header| u64::from(h.width) * u64::from(h.height);
@@ -416,7 +414,8 @@ pub(crate) fn grid(reference: [u32; 2], slots: &[Slot]) -> Option<[u32; 2]> {
     Some(grid)
 }
 
-fn lcm(a: u32, b: u32) -> Option<u32> {
+/// The least common multiple; none where it is no number of 32 bits, or 0.
+pub(crate) fn lcm(a: u32, b: u32) -> Option<u32> {
     let (mut x, mut y) = (a, b);
     while y != 0 {
         (x, y) = (y, x % y);

@@ -3,38 +3,36 @@
 use std::collections::BTreeMap;
 
 use super::uri;
+use crate::texture::Format;
 
-/// The media type that the first bytes of an image tell.
-pub(crate) fn media_type(bytes: &[u8]) -> Option<&'static str> {
+/// The format that a URI tells: by its media type, or by its extension.
+fn format_by_name(name: &str) -> Option<Format> {
+    if !uri::is_data(name) {
+        return Format::of_extension(&uri::extension(name));
+    }
+    let media_type = name.split([';', ',']).next().unwrap_or_default();
+    Format::of_extension(&media_type.rsplit('/').next().unwrap_or_default().to_ascii_lowercase())
+}
+
+/// The media type that a URI tells.
+pub(crate) fn by_name(name: &str) -> Option<&'static str> {
+    format_by_name(name).map(Format::media_type)
+}
+
+/// The format that the first bytes of an image tell, as few as there may be of a damaged one.
+fn format(bytes: &[u8]) -> Option<Format> {
     match bytes {
-        [0x89, b'P', b'N', b'G', ..] => Some("image/png"),
-        [0xFF, 0xD8, 0xFF, ..] => Some("image/jpeg"),
-        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => Some("image/ktx2"),
-        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Some("image/webp"),
+        [0x89, b'P', b'N', b'G', ..] => Some(Format::Png),
+        [0xFF, 0xD8, 0xFF, ..] => Some(Format::Jpeg),
+        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => Some(Format::Ktx2),
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Some(Format::Webp),
         _ => None,
     }
 }
 
-/// The media type that a URI tells: its own, or by its extension.
-pub(crate) fn by_name(name: &str) -> Option<&'static str> {
-    let extension = match name.get(..5) {
-        Some(head) if head.eq_ignore_ascii_case("data:") => name
-            .split([';', ','])
-            .next()
-            .unwrap_or_default()
-            .rsplit('/')
-            .next()
-            .unwrap_or_default()
-            .to_ascii_lowercase(),
-        _ => uri::extension(name),
-    };
-    match extension.as_str() {
-        "png" => Some("image/png"),
-        "jpg" | "jpeg" => Some("image/jpeg"),
-        "ktx2" => Some("image/ktx2"),
-        "webp" => Some("image/webp"),
-        _ => None,
-    }
+/// The media type that the first bytes of an image tell.
+pub(crate) fn media_type(bytes: &[u8]) -> Option<&'static str> {
+    format(bytes).map(Format::media_type)
 }
 
 /// The names of side files, each given once whichever case a file system sees.
@@ -58,15 +56,10 @@ impl<'a> Names<'a> {
         (index, count): (usize, usize),
         bytes: &'a [u8],
     ) -> (String, bool) {
-        let extension = match media_type(bytes) {
-            Some("image/png") => "png",
-            Some("image/jpeg") => "jpg",
-            Some("image/ktx2") => "ktx2",
-            Some("image/webp") => "webp",
-            _ => "",
-        };
+        let format = format(bytes);
+        let extension = format.map_or("", Format::extension);
         let wanted = wanted.unwrap_or_else(|| format!("image-{index}.{extension}").trim_end_matches('.').to_owned());
-        let agrees = extension.is_empty() || by_name(&wanted) == media_type(bytes);
+        let agrees = format.is_none() || format_by_name(&wanted) == format;
         let stem =
             wanted.strip_suffix(&format!(".{}", wanted.rsplit('.').next().unwrap_or_default())).unwrap_or(&wanted);
         let mut path = if agrees { wanted.clone() } else { format!("{stem}.{extension}") };

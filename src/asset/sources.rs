@@ -3,10 +3,11 @@
 use serde_json::Value;
 
 use super::document::Document;
+use super::json::{array, each_mut, keep, new_numbers, renumber};
 
 /// Calls `f` with every image index of the textures, those in extensions too.
 pub(crate) fn each_source(json: &mut Value, mut f: impl FnMut(&mut Value)) {
-    for texture in json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
+    for texture in each_mut(json, "textures") {
         if let Some(source) = texture.get_mut("source") {
             f(source);
         }
@@ -17,28 +18,21 @@ pub(crate) fn each_source(json: &mut Value, mut f: impl FnMut(&mut Value)) {
     }
 }
 
-/// Takes images out and numbers the others anew. `gone` rises; no texture names any of it.
+/// Takes images out and numbers the others anew; no texture names any that is gone.
 pub(crate) fn drop_images(doc: &mut Document, gone: &[usize]) {
-    let stays = |image: usize| gone.binary_search(&image).is_err();
-    if let Some(images) = doc.json.get_mut("images").and_then(Value::as_array_mut) {
-        let mut index = 0;
-        images.retain(|_| {
-            index += 1;
-            stays(index - 1)
-        });
-    }
-    let mut index = 0;
-    doc.images.retain(|_| {
-        index += 1;
-        stays(index - 1)
-    });
-    let before = |image: usize| gone.partition_point(|g| *g < image);
-    for images in [&mut doc.merging.constants, &mut doc.merging.spare] {
-        *images = images.iter().filter(|i| stays(**i)).map(|i| i - before(*i)).collect();
-    }
-    each_source(&mut doc.json, |source| {
-        if let Some(image) = source.as_u64().and_then(|i| usize::try_from(i).ok()).filter(|i| before(*i) > 0) {
-            *source = Value::from(image - before(image));
+    let mut kept = vec![true; doc.images.len().max(array(&doc.json, "images").len())];
+    for image in gone {
+        if let Some(kept) = kept.get_mut(*image) {
+            *kept = false;
         }
-    });
+    }
+    if let Some(images) = doc.json.get_mut("images").and_then(Value::as_array_mut) {
+        keep(images, |image| kept[image]);
+    }
+    keep(&mut doc.images, |image| kept[image]);
+    let new = new_numbers(&kept);
+    for images in [&mut doc.merging.constants, &mut doc.merging.spare] {
+        *images = images.iter().filter(|i| kept[**i]).map(|i| new[*i]).collect();
+    }
+    each_source(&mut doc.json, |source| renumber(source, &new));
 }

@@ -134,14 +134,6 @@ fn what_nothing_refers_to_any_more_is_not_shipped() {
 #[test]
 fn every_component_type_stride_and_sparseness_is_read() {
     let mut doc = small();
-    let raw = |component_type: ComponentType, normalized: bool, data: &[u8]| RawAccessor {
-        component_type,
-        kind: Kind::Vec2,
-        normalized,
-        element_size: 2 * component_type.size(),
-        count: data.len() / (2 * component_type.size()),
-        data: data.to_vec(),
-    };
     let cases: [(ComponentType, bool, &[u8], [f32; 2]); 8] = [
         (ComponentType::I8, true, &[0x80, 127], [-1.0, 1.0]),
         (ComponentType::I8, false, &[0x80, 127], [-128.0, 127.0]),
@@ -153,7 +145,7 @@ fn every_component_type_stride_and_sparseness_is_read() {
         (ComponentType::F32, false, &[0, 0, 0xC0, 0x7F, 0, 0, 0x80, 0x3F], [f32::NAN, 1.0]),
     ];
     for (component, normalized, data, expected) in cases {
-        let raw = raw(component, normalized, data);
+        let raw = RawAccessor::new(component, Kind::Vec2, normalized, data.to_vec());
         // Vertex attributes are padded to four bytes, and read back through the stride.
         let index = doc.append_accessor(&raw, Some(ARRAY_BUFFER), true);
         assert_eq!(raw_elements(&doc, index).unwrap(), raw);
@@ -216,8 +208,10 @@ fn broken_documents_are_refused_with_code_and_pointer() {
         ("/accessors/0/count", json!(u64::MAX), TooLarge, "/accessors/0/count"),
         ("/accessors/0/byteOffset", json!(u64::MAX), InvalidModel, "/accessors/0"),
         ("/accessors/0/sparse", json!([]), InvalidModel, "/accessors/0/sparse"),
-        ("/accessors/0/sparse", json!({ "count": 4 }), InvalidModel, "/accessors/0/sparse/count"),
-        ("/accessors/0/sparse", json!({ "count": 1 }), InvalidModel, "/accessors/0/sparse/indices"),
+        ("/accessors/0/sparse", json!({ "count": 1 }), InvalidModel, "/accessors/0/sparse"),
+        ("/accessors/0/sparse", json!({ "count": 1, "indices": 1 }), InvalidModel, "/accessors/0/sparse/indices"),
+        ("/accessors/0/bufferView", json!(1_u64 << 32), InvalidModel, "/accessors/0/bufferView"),
+        ("/bufferViews/0/buffer", json!(1_u64 << 32), InvalidModel, "/bufferViews/0/buffer"),
         ("/images/0/bufferView", json!(99), InvalidModel, "/images/0/bufferView"),
         (
             "/accessors/3",
@@ -258,6 +252,18 @@ fn deviations_that_can_be_read_are_warnings() {
         assert!(doc.images[0].is_none() || code == "misaligned_accessor");
     }
     assert!(changed("/bufferViews/0/byteStride", json!(0)).unwrap().1.is_empty());
+    // Writers without an integer type write floats, and extras may be anything.
+    for (pointer, value) in [
+        ("/accessors/0/count", json!(3.0)),
+        ("/accessors/0/bufferView", json!(0.0)),
+        ("/accessors/0/componentType", json!(5126.0)),
+        ("/bufferViews/0/buffer", json!(0.0)),
+        ("/bufferViews/0/extras", json!(7)),
+        ("/accessors/0/extras", json!("mine")),
+    ] {
+        let (doc, warnings) = changed(pointer, value.clone()).unwrap();
+        assert!(warnings.is_empty() && read_vec3(&doc, 0).unwrap().len() == 3, "{pointer} = {value}");
+    }
 }
 
 #[test]

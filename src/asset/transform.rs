@@ -1,11 +1,12 @@
 //! Texture transforms (KHR_texture_transform) and the layouts that they make of a TEXCOORD set.
 
 use glam::DVec2;
-use serde_json::{Map, Value};
+use serde::Deserialize;
+use serde_json::Value;
 
 use super::extensions::TEXTURE_TRANSFORM;
-use super::json::index;
-use crate::error::{Failure, Result};
+use super::json::{index, read};
+use crate::error::Result;
 
 /// What is done to UVs before a texture is read: scaled, turned counter-clockwise as one sees the image, moved.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,6 +17,21 @@ pub struct TextureTransform {
     pub rotation: f64,
     /// Scale by axis.
     pub scale: DVec2,
+}
+
+/// The extension's object, but for the TEXCOORD set.
+#[derive(Deserialize)]
+#[serde(default)]
+struct Fields {
+    offset: [f64; 2],
+    rotation: f64,
+    scale: [f64; 2],
+}
+
+impl Default for Fields {
+    fn default() -> Self {
+        Fields { offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2] }
+    }
 }
 
 impl TextureTransform {
@@ -31,18 +47,9 @@ impl TextureTransform {
             return Ok((TextureTransform::IDENTITY, None));
         };
         let at = format!("{pointer}/extensions/{TEXTURE_TRANSFORM}");
-        let object = value.as_object();
-        let object = object.ok_or_else(|| Failure::model("an object is expected here").at(at.clone()))?;
-        let uv_set = index(value, "texCoord", 1 << 16, &at)?;
-        let offset = pair(object, "offset", DVec2::ZERO, &at)?;
-        let scale = pair(object, "scale", DVec2::ONE, &at)?;
-        let rotation = match object.get("rotation") {
-            None => 0.0,
-            Some(value) => number(value).ok_or_else(|| {
-                Failure::model("the rotation of a texture transform is a number").at(format!("{at}/rotation"))
-            })?,
-        };
-        Ok((TextureTransform { offset, rotation, scale }, uv_set))
+        let Fields { offset, rotation, scale } = read(value, || at.clone())?;
+        let transform = TextureTransform { offset: offset.into(), rotation, scale: scale.into() };
+        Ok((transform, index(value, "texCoord", 1 << 16, &at)?))
     }
 
     /// Whether it changes nothing.
@@ -84,22 +91,6 @@ impl Ord for TextureTransform {
 impl std::hash::Hash for TextureTransform {
     fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
         self.bits().hash(state);
-    }
-}
-
-fn number(value: &Value) -> Option<f64> {
-    value.as_f64().filter(|x| x.is_finite())
-}
-
-fn pair(object: &Map<String, Value>, key: &str, default: DVec2, pointer: &str) -> Result<DVec2> {
-    let Some(value) = object.get(key) else { return Ok(default) };
-    let numbers: Option<Vec<f64>> = value.as_array().and_then(|a| a.iter().map(number).collect());
-    match numbers.as_deref() {
-        Some(&[x, y]) => Ok(DVec2::new(x, y)),
-        _ => {
-            Err(Failure::model(format!("the {key} of a texture transform is two numbers"))
-                .at(format!("{pointer}/{key}")))
-        }
     }
 }
 

@@ -1,5 +1,9 @@
 //! URIs and paths that a model names: decoded, made relative and kept inside the upload.
 
+use std::borrow::Cow;
+use std::ffi::OsStr;
+use std::path::Path;
+
 use base64::Engine;
 use base64::alphabet;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
@@ -24,15 +28,6 @@ pub(crate) const RESERVED: percent_encoding::AsciiSet = percent_encoding::CONTRO
     .add(b':')
     .add(b'\\');
 
-/// The parts of a data URI.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct DataUri {
-    /// Media type without parameters; empty where none is given.
-    pub(crate) media_type: String,
-    /// Contents.
-    pub(crate) bytes: Vec<u8>,
-}
-
 /// Whether a URI carries its data.
 pub(crate) fn is_data(uri: &str) -> bool {
     uri.get(..5).is_some_and(|s| s.eq_ignore_ascii_case("data:"))
@@ -42,23 +37,14 @@ pub(crate) fn is_data(uri: &str) -> bool {
 ///
 /// # Errors
 /// A sentence that says what is wrong.
-pub(crate) fn parse_data(uri: &str) -> Result<DataUri, String> {
+pub(crate) fn parse_data(uri: &str) -> Result<Vec<u8>, String> {
     let rest = uri.get(5..).filter(|_| is_data(uri)).ok_or("this is not a data URI")?;
     let (head, body) = rest.split_once(',').ok_or("the data URI has no comma before its data")?;
-    let mut parameters = head.split(';');
-    let media_type = parameters.next().unwrap_or_default().trim().to_ascii_lowercase();
-    let bytes = if parameters.any(|p| p.trim().eq_ignore_ascii_case("base64")) {
-        if body.contains('%') {
-            let text: Vec<u8> = percent_encoding::percent_decode_str(body).collect();
-            BASE64.decode(text)
-        } else {
-            BASE64.decode(body)
-        }
-        .map_err(|e| format!("the base64 of the data URI is broken: {e}"))?
-    } else {
-        percent_encoding::percent_decode_str(body).collect()
-    };
-    Ok(DataUri { media_type, bytes })
+    let bytes = Cow::from(percent_encoding::percent_decode_str(body));
+    if !head.split(';').skip(1).any(|p| p.trim().eq_ignore_ascii_case("base64")) {
+        return Ok(bytes.into_owned());
+    }
+    BASE64.decode(bytes).map_err(|e| format!("the base64 of the data URI is broken: {e}"))
 }
 
 /// The path of a percent-encoded relative URI, from the folder of the model.
@@ -111,11 +97,7 @@ pub(crate) fn file_name(path: &str) -> &str {
 
 /// The last part of a path without its extension.
 pub(crate) fn stem(path: &str) -> &str {
-    let name = file_name(path);
-    match name.rfind('.') {
-        Some(dot) if dot > 0 => name.get(..dot).unwrap_or(name),
-        _ => name,
-    }
+    Path::new(file_name(path)).file_stem().and_then(OsStr::to_str).unwrap_or_default()
 }
 
 /// The extension of a path in lower case, without its dot; empty where there is none.
@@ -160,9 +142,9 @@ mod tests {
     #[test]
     fn data_uris() {
         let found = parse_data("data:application/octet-stream;base64,AQID").unwrap();
-        assert_eq!((found.media_type.as_str(), found.bytes.as_slice()), ("application/octet-stream", &[1u8, 2, 3][..]));
-        assert_eq!(parse_data("DATA:;base64,AQ").unwrap().bytes, [1]);
-        assert_eq!(parse_data("data:text/plain,a%20b").unwrap().bytes, b"a b");
+        assert_eq!(found, [1, 2, 3]);
+        assert_eq!(parse_data("DATA:;base64,AQ").unwrap(), [1]);
+        assert_eq!(parse_data("data:text/plain,a%20b").unwrap(), b"a b");
         assert!(parse_data("data:;base64,A*").is_err());
         assert!(parse_data("data:;base64").is_err());
     }

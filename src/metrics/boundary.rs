@@ -18,9 +18,8 @@ pub(super) fn add(totals: &mut Totals, atlas: &Atlas, topology: &Topology, input
     totals.uv_vertices = count(atlas.uv.len(), atlas.corners.iter().flatten().map(|u| u.index()));
     let used = atlas.surface.triangles.iter().flatten().map(|v| v.index());
     totals.vertices = count(atlas.surface.positions.len(), used.clone());
-    totals.bounds = used
-        .map(|v| atlas.surface.positions[v])
-        .fold(None, |b, p| Some(b.map_or((p, p), |(low, high): (glam::DVec3, glam::DVec3)| (low.min(p), high.max(p)))));
+    let points = used.map(|v| (atlas.surface.positions[v], atlas.surface.positions[v]));
+    totals.bounds = points.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
     totals.input_side = page_boxes(input).iter().map(|b| b.size().max_element()).fold(0.0, f64::max);
 }
 

@@ -20,15 +20,9 @@ pub struct TexelDensity {
 impl TexelDensity {
     /// Both together; a common median does not follow from two.
     pub(crate) fn with(self, other: Self) -> Self {
-        let pick = |a: Option<f64>, b: Option<f64>, best: fn(f64, f64) -> f64| match (a, b) {
-            (Some(a), Some(b)) => Some(best(a, b)),
-            (a, b) => a.or(b),
-        };
-        TexelDensity {
-            min: pick(self.min, other.min, f64::min),
-            median: None,
-            max: pick(self.max, other.max, f64::max),
-        }
+        let pick = |a: Option<f64>, b: Option<f64>, best: fn(f64, f64) -> f64| a.into_iter().chain(b).reduce(best);
+        let (min, max) = (pick(self.min, other.min, f64::min), pick(self.max, other.max, f64::max));
+        TexelDensity { min, median: None, max }
     }
 }
 

@@ -66,18 +66,14 @@ fn figure(measures: &Measures, name: &str) -> Figure {
 /// A figure, or why it is not defined.
 type Figure = std::result::Result<f64, String>;
 
-/// A figure of the model or, where there is an id, of one atlas.
-struct Compared {
-    atlas: Option<u64>,
-    before: Figure,
-    after: Figure,
-}
+/// A figure of the model or, where there is an id, of one atlas: before and after.
+type Compared = (Option<u64>, Figure, Figure);
 
 /// What a dotted path stands for: a figure of the model, or that of every refined atlas. `invalid_options` where there is no such figure.
 fn lookup(report: &Report, path: &str) -> Result<Vec<Compared>> {
     check_path(path)?;
     let (scope, name) = path.split_once('.').unwrap_or((path, ""));
-    let compared = |atlas, before, after| Compared { atlas, before: figure(before, name), after: figure(after, name) };
+    let compared = |atlas, before, after| (atlas, figure(before, name), figure(after, name));
     Ok(match scope {
         "model" => vec![compared(None, &report.model.before, &report.model.after)],
         _ => {
@@ -99,9 +95,9 @@ pub fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result
             if values.is_empty() {
                 worst = Some((f64::INFINITY, None, Some("no atlas was refined".to_owned())));
             }
-            for Compared { atlas, before, after } in &values {
+            for (atlas, before, after) in &values {
                 let of = atlas.map(|id| format!("atlas {id}"));
-                let (miss, got, detail) = match bound.miss(before, after) {
+                let (miss, got, detail) = match miss(bound, before, after) {
                     Ok((miss, got)) => (miss, Some(got), of),
                     Err(reason) => {
                         let detail = of.map_or_else(|| reason.clone(), |of| format!("{of}: {reason}"));
@@ -113,50 +109,38 @@ pub fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result
                 }
             }
             if let Some((_, got, detail)) = worst {
-                failures.push(Unmet {
-                    path: path.clone(),
-                    wanted: format!("{} {}", bound.name, bound.value),
-                    got,
-                    detail,
-                });
+                let wanted = format!("{} {}", bound.0, bound.1);
+                failures.push(Unmet { path: path.clone(), wanted, got, detail });
             }
         }
     }
     Ok(failures)
 }
 
-struct Bound {
-    name: &'static str,
-    value: f64,
+fn bounds(r: &Requirement) -> impl Iterator<Item = (&'static str, f64)> {
+    let all = [("min", r.min), ("max", r.max), ("min_gain", r.min_gain), ("max_ratio", r.max_ratio)];
+    all.into_iter().filter_map(|(name, value)| Some((name, value?)))
 }
 
-fn bounds(r: &Requirement) -> impl Iterator<Item = Bound> {
-    [("min", r.min), ("max", r.max), ("min_gain", r.min_gain), ("max_ratio", r.max_ratio)]
-        .into_iter()
-        .filter_map(|(name, value)| value.map(|value| Bound { name, value }))
-}
-
-impl Bound {
-    /// By how much the bound is missed (not at all where <= 0), and the value that is compared.
-    fn miss(&self, before: &Figure, after: &Figure) -> std::result::Result<(f64, f64), String> {
-        let after = after.clone()?;
-        Ok(match self.name {
-            "min" => (self.value - after, after),
-            "max" => (after - self.value, after),
-            "min_gain" => {
-                let gain = after - before.clone()?;
-                (self.value - gain, gain)
-            }
-            _ => {
-                let ratio = match before.clone()? {
-                    0.0 if after == 0.0 => 1.0,
-                    0.0 => return Err("it was 0 before".to_owned()),
-                    before => after / before,
-                };
-                (ratio - self.value, ratio)
-            }
-        })
-    }
+/// By how much a bound is missed (not at all where <= 0), and the value that is compared.
+fn miss((name, bound): (&str, f64), before: &Figure, after: &Figure) -> std::result::Result<(f64, f64), String> {
+    let after = after.clone()?;
+    Ok(match name {
+        "min" => (bound - after, after),
+        "max" => (after - bound, after),
+        "min_gain" => {
+            let gain = after - before.clone()?;
+            (bound - gain, gain)
+        }
+        _ => {
+            let ratio = match before.clone()? {
+                0.0 if after == 0.0 => 1.0,
+                0.0 => return Err("it was 0 before".to_owned()),
+                before => after / before,
+            };
+            (ratio - bound, ratio)
+        }
+    })
 }
 
 #[cfg(test)]

@@ -202,10 +202,8 @@ impl Totals {
         self.input_side += other.input_side;
         self.seam += other.seam;
         self.surface_area += other.surface_area;
-        self.bounds = match (self.bounds, other.bounds) {
-            (Some(a), Some(b)) => Some((a.0.min(b.0), a.1.max(b.1))),
-            (a, b) => a.or(b),
-        };
+        let bounds = self.bounds.into_iter().chain(other.bounds);
+        self.bounds = bounds.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
         self.uv_area += other.uv_area;
         self.uv_vertices += other.uv_vertices;
         self.vertices += other.vertices;
@@ -213,10 +211,7 @@ impl Totals {
         self.from_input.add(&other.from_input);
         self.chart_areas.extend(&other.chart_areas);
         self.density = if self.atlases == 1 { other.density } else { self.density.with(other.density) };
-        self.gutter = match (self.gutter, other.gutter) {
-            (Some(a), Some(b)) => Some(a.min(b)),
-            (a, b) => a.or(b),
-        };
+        self.gutter = self.gutter.into_iter().chain(other.gutter).min();
         self.resampled = self.resampled.zip(other.resampled).map(|(a, b)| a + b);
         self.slots += other.slots;
         self.pixels += other.pixels;

@@ -198,7 +198,8 @@ fn attribute_values(
         Kind::Mat2 | Kind::Mat3 | Kind::Mat4 => Vec::new(),
     };
     if values.is_empty() && shape.count > 0 {
-        let message = format!("`{name}` is a {}, which has no component number {}", shape.kind.name(), component + 1);
+        let message =
+            format!("`{name}` is a {}, which has no component number {}", asset::kind_name(shape.kind), component + 1);
         return Err(Failure::new(Code::InvalidOptions, message));
     }
     if let Some(bad) = values.iter().position(|v| !v.is_finite() || *v < 0.0) {

@@ -6,6 +6,7 @@ use serde_json::{Map, Value};
 
 use super::options::{IfLarger, Options};
 use super::stage::{SheetInfo, Stage, StageInput, Staged};
+use crate::asset::lcm;
 use crate::atlas::{
     Atlas, ChartId, Charts, Clusters, HalfEdge, Move, OverlapMode, Topology, clusters, overlapping_charts,
 };
@@ -120,7 +121,7 @@ fn spacing(sheet_info: &SheetInfo, pack: &Pack, scaled: bool) -> Spacing {
 /// The longest side that a sheet may have, and what sides are rounded to.
 fn sides(sheet_info: &SheetInfo, options: &Options) -> (f64, Rounding) {
     let texture = &options.texture;
-    let step = f64::from(lcm(texture.multiple_of, sheet_info.unit));
+    let step = f64::from(lcm(texture.multiple_of, sheet_info.unit).unwrap_or(u32::MAX));
     let round = match (sheet_info.is_virtual, texture.power_of_two) {
         (true, _) => Rounding::MultipleOf(1.0),
         (false, true) => Rounding::PowerOfTwo(step),
@@ -232,14 +233,6 @@ fn apply(atlas: &Atlas, charts: &Charts, together: &Clusters, packed: &Packing) 
         *uv = uv.max(DVec2::ZERO);
     }
     next
-}
-
-fn lcm(a: u32, b: u32) -> u32 {
-    let (mut x, mut y) = (a.max(1), b.max(1));
-    while y != 0 {
-        (x, y) = (y, x % y);
-    }
-    (a.max(1) / x).saturating_mul(b.max(1))
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use super::group::{Group, Member};
 use super::importance::{Importance, material_name};
 use super::load::{Loaded, Model};
 use super::refinement::Refinement;
-use crate::asset::{Document, is_small};
+use crate::asset::{Document, declared_triangles, is_small};
 use crate::atlas::OverlapMode;
 use crate::atlas::{Atlas, Charts, Clusters, Topology, clusters};
 use crate::context::Context;
@@ -244,21 +244,12 @@ fn model_input(model: &Model) -> ModelInput {
     let json = &model.doc.json;
     let list = |key: &str| json.get(key).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     let primitives = || list("meshes").iter().flat_map(|m| m["primitives"].as_array().into_iter().flatten());
-    let count = |primitive: &Value| {
-        let accessor = primitive.get("indices").or_else(|| primitive.pointer("/attributes/POSITION"))?.as_u64()?;
-        let corners = json.pointer(&format!("/accessors/{accessor}/count"))?.as_u64()?;
-        match primitive.get("mode").and_then(Value::as_u64).unwrap_or(4) {
-            4 => Some(corners / 3),
-            5 | 6 => Some(corners.saturating_sub(2)),
-            _ => Some(0),
-        }
-    };
     ModelInput {
         name: model.doc.name.clone(),
         bytes: model.bytes,
         meshes: list("meshes").len() as u64,
         primitives: primitives().count() as u64,
-        triangles: primitives().filter_map(count).sum(),
+        triangles: primitives().map(|p| declared_triangles(json, p)).sum(),
         materials: list("materials").len() as u64,
         images: (list("images").len() - model.doc.merging.constants.len().min(list("images").len())) as u64,
     }

@@ -31,8 +31,6 @@ pub struct Fidelity {
     pub psnr_db: f64,
     /// Whether at all points the texels of the bilinear footprint are equal (directions: after the turn).
     pub exact: bool,
-    /// Fraction of the points where they are, in 0..=1.
-    pub exact_fraction: f64,
     /// Largest error at mip level 0.
     pub max_error: f64,
     /// Mean error at mip level 2.
@@ -112,12 +110,17 @@ fn scatter(job: &Bake<'_>, maps: &TexelMaps, samples: u32, seed: u64) -> Vec<Poi
     points
 }
 
-/// A number in 0..1 from a state (splitmix64).
+/// A number in 0..1 from a state.
 fn unit(state: u64) -> f64 {
-    let mut z = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    (mix(state) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// The number that splitmix64 (Steele, Lea, Flood 2014) gives at a state.
+pub(crate) fn mix(state: u64) -> u64 {
+    let z = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
 }
 
 /// Something with up to four channels of encoded values in 0..=1.
@@ -347,21 +350,19 @@ impl Sums {
 
     fn fidelity(mut self) -> Fidelity {
         self.angles.sort_unstable_by(f64::total_cmp);
-        let rank = |q: f64| {
-            self.angles.get(((self.angles.len() as f64 * q) as usize).min(self.angles.len().saturating_sub(1)))
-        };
+        let last = self.angles.len().saturating_sub(1);
+        let rank = |q: f64| self.angles.get(((self.angles.len() as f64 * q) as usize).min(last)).copied();
         let samples = f64::from(self.samples.max(1));
         let mean = self.squares / self.values.max(1.0);
         Fidelity {
             samples: self.samples,
             psnr_db: if mean > 0.0 { (-10.0 * mean.log10()).min(BEST) } else { BEST },
             exact: self.exact == self.samples,
-            exact_fraction: if self.samples == 0 { 1.0 } else { f64::from(self.exact) / samples },
             max_error: self.max,
             mip2_mean_error: self.mip_sum / samples,
             mip2_max_error: self.mip_max,
-            angle_median_deg: rank(0.5).copied(),
-            angle_p95_deg: rank(0.95).copied(),
+            angle_median_deg: rank(0.5),
+            angle_p95_deg: rank(0.95),
         }
     }
 }

@@ -22,12 +22,15 @@ pub use bake::{Bake, Baked, Source, bake, page_size};
 pub use decode::{decode, header, is_lossy, probe};
 pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;
+pub(crate) use fidelity::mix;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};
 pub use options::{Overflow, Size, Texture, TextureFormat};
 pub(crate) use pixels::from_samples;
 pub use pixels::{depth, neutral, texel, widened};
 pub use slot::{Reading, Slot};
-pub(crate) use transfer::linear_to_srgb;
+pub(crate) use transfer::{linear_to_srgb, srgb_to_linear};
+
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
@@ -89,34 +92,14 @@ pub enum Direction {
     Anisotropy,
 }
 
-impl Role {
+impl fmt::Display for Role {
     /// The name in reports and file names.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Role::BaseColor => "base_color",
-            Role::MetallicRoughness => "metallic_roughness",
-            Role::Normal => "normal",
-            Role::Occlusion => "occlusion",
-            Role::Emissive => "emissive",
-            Role::Clearcoat => "clearcoat",
-            Role::ClearcoatRoughness => "clearcoat_roughness",
-            Role::ClearcoatNormal => "clearcoat_normal",
-            Role::SheenColor => "sheen_color",
-            Role::SheenRoughness => "sheen_roughness",
-            Role::Specular => "specular",
-            Role::SpecularColor => "specular_color",
-            Role::Transmission => "transmission",
-            Role::Thickness => "thickness",
-            Role::Iridescence => "iridescence",
-            Role::IridescenceThickness => "iridescence_thickness",
-            Role::Anisotropy => "anisotropy",
-            Role::DiffuseTransmission => "diffuse_transmission",
-            Role::DiffuseTransmissionColor => "diffuse_transmission_color",
-            Role::Diffuse => "diffuse",
-            Role::SpecularGlossiness => "specular_glossiness",
-        }
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
+}
 
+impl Role {
     /// Whether the colour channels are sRGB-encoded.
     pub fn is_srgb(self) -> bool {
         use Role::{
@@ -208,6 +191,11 @@ impl Format {
     /// Whether a texture names an image of this format by an extension only.
     pub fn needs_extension(self) -> bool {
         self == Format::Webp
+    }
+    /// The format whose files have an extension, in lower case.
+    pub(crate) fn of_extension(extension: &str) -> Option<Format> {
+        let extension = if extension == "jpeg" { "jpg" } else { extension };
+        [Format::Png, Format::Jpeg, Format::Webp, Format::Ktx2].into_iter().find(|f| f.extension() == extension)
     }
     /// Media type.
     pub fn media_type(self) -> &'static str {

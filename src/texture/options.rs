@@ -12,24 +12,16 @@ use crate::params::params;
 const LONGEST_SIDE: u32 = 16384;
 
 /// Size of the output sheet.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Size {
     /// Texel density is kept; the sheet becomes as small as the charts allow.
     KeepDensity,
     /// The sheet keeps its size; the charts are scaled to fill it.
     KeepSize,
     /// Width and height of the largest slot in texels.
+    #[serde(untagged)]
     Fixed([u32; 2]),
-}
-
-impl Serialize for Size {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match self {
-            Size::KeepDensity => serializer.serialize_str("keep_density"),
-            Size::KeepSize => serializer.serialize_str("keep_size"),
-            Size::Fixed(size) => size.serialize(serializer),
-        }
-    }
 }
 
 impl<'de> Deserialize<'de> for Size {

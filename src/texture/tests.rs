@@ -85,7 +85,7 @@ pub(super) fn slot(role: Role, image: &DynamicImage) -> Slot {
     Slot {
         image: 0,
         role,
-        name: role.as_str().to_owned(),
+        name: role.to_string(),
         header,
         readings: vec![Reading { wrap: [Wrap::ClampToEdge; 2], primitives: vec![0] }],
         mipmaps: false,

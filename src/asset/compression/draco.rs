@@ -10,8 +10,8 @@ use std::time::Duration;
 use draco_core::{DataType, DecodeLimits, DecoderBuffer, ErrorKind, Mesh, MeshDecoder, PointAttribute, PointIndex};
 
 use crate::asset::accessor::RawAccessor;
-use crate::asset::accessor_layout::AccessorLayout;
-use crate::asset::accessor_type::ComponentType;
+use crate::asset::accessor_layout::{AccessorLayout, kind_name};
+use crate::asset::{ComponentType, Kind};
 use crate::error::{Failure, Result};
 
 /// How often cancellation is looked for.
@@ -66,26 +66,22 @@ fn read(stream: &[u8], bounds: Bounds) -> Result<Mesh> {
     Ok(mesh)
 }
 
-/// The triangles' indices, in the accessor's type.
+/// The triangles' indices, in a type of unsigned integers.
 ///
 /// # Errors
 /// What does not fit, in words.
-pub(super) fn indices(mesh: &Mesh, accessor: &AccessorLayout) -> std::result::Result<RawAccessor, String> {
-    let values = mesh.faces().iter().flatten().map(|point| point.0);
-    let mut data = Vec::with_capacity(3 * mesh.num_faces() * accessor.component.size());
-    for value in values {
-        match accessor.component {
-            ComponentType::U8 => data.extend(u8::try_from(value).map(u8::to_le_bytes).map_err(|_| wide(value))?),
-            ComponentType::U16 => data.extend(u16::try_from(value).map(u16::to_le_bytes).map_err(|_| wide(value))?),
-            ComponentType::U32 => data.extend(value.to_le_bytes()),
-            _ => return Err("indices have componentType 5121, 5123 or 5125".to_owned()),
-        }
+pub(super) fn indices(mesh: &Mesh, component: ComponentType) -> std::result::Result<RawAccessor, String> {
+    let most = match component {
+        ComponentType::U8 => u32::from(u8::MAX),
+        ComponentType::U16 => u32::from(u16::MAX),
+        ComponentType::U32 => u32::MAX,
+        _ => return Err("indices have componentType 5121, 5123 or 5125".to_owned()),
+    };
+    let values: Vec<u32> = mesh.faces().iter().flatten().map(|point| point.0).collect();
+    match values.iter().find(|value| **value > most) {
+        Some(value) => Err(format!("index {value} does not fit its componentType")),
+        None => Ok(RawAccessor::from_unsigned(component, Kind::Scalar, &values)),
     }
-    Ok(filled(accessor, data))
-}
-
-fn wide(value: u32) -> String {
-    format!("index {value} does not fit its componentType")
 }
 
 /// The values of a vertex attribute by vertex, in the accessor's type.
@@ -95,11 +91,10 @@ fn wide(value: u32) -> String {
 pub(super) fn attribute(mesh: &Mesh, id: u32, accessor: &AccessorLayout) -> std::result::Result<RawAccessor, String> {
     let found = mesh.attribute_by_unique_id(id).ok_or_else(|| format!("the Draco stream has no attribute {id}"))?;
     let components = usize::from(found.num_components());
-    if components != accessor.kind.components() || accessor.element_size() != components * accessor.component.size() {
-        return Err(format!(
-            "the Draco attribute has {components} components, and its accessor is a {}",
-            accessor.kind.name()
-        ));
+    let packed = accessor.element_size() == components * accessor.component_type.size();
+    if components != accessor.kind.multiplicity() || !packed {
+        let kind = kind_name(accessor.kind);
+        return Err(format!("the Draco attribute has {components} components, and its accessor is a {kind}"));
     }
     let size = components * found.data_type().byte_length();
     let stride = usize::try_from(found.byte_stride()).unwrap_or(0).max(size);
@@ -109,21 +104,9 @@ pub(super) fn attribute(mesh: &Mesh, id: u32, accessor: &AccessorLayout) -> std:
         let start = value.checked_mul(stride);
         let bytes = start.and_then(|start| found.buffer().data().get(start..start.checked_add(size)?));
         let bytes = bytes.ok_or("the Draco attribute has fewer values than the stream has vertices")?;
-        convert(found, bytes, accessor.component, &mut data)?;
+        convert(found, bytes, accessor.component_type, &mut data)?;
     }
-    Ok(filled(accessor, data))
-}
-
-fn filled(accessor: &AccessorLayout, data: Vec<u8>) -> RawAccessor {
-    let element_size = accessor.element_size();
-    RawAccessor {
-        component_type: accessor.component,
-        kind: accessor.kind,
-        normalized: accessor.normalized,
-        element_size,
-        count: data.len() / element_size.max(1),
-        data,
-    }
+    Ok(RawAccessor::new(accessor.component_type, accessor.kind, accessor.normalized, data))
 }
 
 /// Appends one value in the accessor's type: its bits where the types are the same, its number where they are not.

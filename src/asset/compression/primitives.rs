@@ -2,20 +2,30 @@
 
 use std::collections::BTreeMap;
 
-use serde_json::Value;
+use serde::Deserialize;
+use serde_json::{Map, Value};
 
 use super::draco::{self, Bounds};
-use super::{decompressed, extension, remove_extension, undeclare};
+use super::{decompressed, extension, remove_extension};
 use crate::asset::accessor::RawAccessor;
-use crate::asset::accessor_layout::{self, AccessorLayout, list, needed, whole};
+use crate::asset::accessor_layout::{self, AccessorLayout};
 use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, set_bounds};
-use crate::asset::extensions::DRACO;
+use crate::asset::extensions::{DRACO, undeclare};
+use crate::asset::json::{array, each_mut, list, object, read, read_key};
 use crate::asset::limits::{Budget, Limits};
 use crate::asset::{ComponentType, Document, Kind};
 use crate::error::{Code, Failure, Result, Warning};
 
 /// Bytes that the attributes of one vertex may take in a stream: it may hold more than the primitive names.
 const MOST_VERTEX_BYTES: u64 = 1024;
+
+/// The extension of a primitive.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Stream {
+    buffer_view: usize,
+    attributes: Map<String, Value>,
+}
 
 /// A compressed primitive.
 struct Job {
@@ -58,10 +68,8 @@ pub(crate) fn primitives(
         after += decode(document, job, limits, budget, &mut filled, warnings, check)?;
         streams.insert(job.view, accessor_layout::view(&document.json, job.view)?.length);
     }
-    for mesh in document.json.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten() {
-        for primitive in mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten() {
-            remove_extension(primitive, DRACO);
-        }
+    for mesh in each_mut(&mut document.json, "meshes") {
+        each_mut(mesh, "primitives").for_each(|primitive| remove_extension(primitive, DRACO));
     }
     undeclare(&mut document.json, DRACO);
     if !jobs.is_empty() {
@@ -73,8 +81,7 @@ pub(crate) fn primitives(
 fn jobs(json: &Value, warnings: &mut Vec<Warning>) -> Result<Vec<Job>> {
     let mut jobs = Vec::new();
     for (mesh, object) in list(json, "meshes")?.iter().enumerate() {
-        let primitives = object.get("primitives").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-        for (primitive, object) in primitives.iter().enumerate() {
+        for (primitive, object) in array(object, "primitives").iter().enumerate() {
             let own = format!("/meshes/{mesh}/primitives/{primitive}");
             let Some(job) = job(object, &own, mesh, primitive)? else { continue };
             if object.get("mode").is_none_or(|mode| mode.as_u64() == Some(4)) {
@@ -101,29 +108,22 @@ impl Job {
     }
 }
 
-fn job(object: &Value, own: &str, mesh: usize, primitive: usize) -> Result<Option<Job>> {
-    let Some(found) = extension(object, DRACO, own)? else { return Ok(None) };
+fn job(value: &Value, own: &str, mesh: usize, primitive: usize) -> Result<Option<Job>> {
+    let Some(stream) = extension::<Stream>(value, DRACO, own)? else { return Ok(None) };
     let pointer = format!("{own}/extensions/{DRACO}");
-    let at_attributes = format!("{pointer}/attributes");
-    let ids = found.get("attributes").and_then(Value::as_object);
-    let ids = ids.ok_or_else(|| Failure::model("an object is expected here").at(at_attributes.clone()))?;
-    let plain = object.get("attributes").and_then(Value::as_object);
+    let plain = value.get("attributes").unwrap_or(&Value::Null);
     let mut attributes = Vec::new();
-    for name in ids.keys() {
-        let id = needed(ids, name, &at_attributes)?;
-        let accessor = plain.map(|p| whole(p, name, &format!("{own}/attributes"))).transpose()?.flatten();
-        let accessor = accessor.ok_or_else(|| {
+    for (name, id) in &stream.attributes {
+        let id = read(id, || format!("{pointer}/attributes/{name}"))?;
+        let accessor = read_key(plain, name, &format!("{own}/attributes"))?.ok_or_else(|| {
             Failure::model(format!("{name} is compressed, and the primitive has no such attribute")).at(&*pointer)
         })?;
-        let id = u32::try_from(id).map_err(|_| Failure::model("this is no attribute's number").at(&*at_attributes))?;
         attributes.push((name.clone(), accessor, id));
     }
-    let empty = serde_json::Map::new();
-    let indices = whole(object.as_object().unwrap_or(&empty), "indices", own)?;
-    let view = needed(found, "bufferView", &pointer)?;
-    let outside = plain.is_some_and(|p| p.keys().any(|name| !ids.contains_key(name)));
-    let morphed = object.get("targets").and_then(Value::as_array).is_some_and(|t| !t.is_empty());
-    Ok(Some(Job { mesh, primitive, pointer, view, attributes, indices, mixed: outside || morphed }))
+    let indices = read_key(value, "indices", own)?;
+    let mut names = object(value, "attributes").into_iter().flat_map(|plain| plain.keys());
+    let mixed = names.any(|name| !stream.attributes.contains_key(name)) || !array(value, "targets").is_empty();
+    Ok(Some(Job { mesh, primitive, pointer, view: stream.buffer_view, attributes, indices, mixed }))
 }
 
 /// Decodes one primitive; gives the bytes of its elements.
@@ -142,7 +142,7 @@ fn decode(
     let indices = match job.indices {
         Some(index) => accessor(index)?,
         None => AccessorLayout {
-            component: ComponentType::U32,
+            component_type: ComponentType::U32,
             kind: Kind::Scalar,
             normalized: false,
             count: usize::try_from(limits.max_triangles.saturating_mul(3)).unwrap_or(usize::MAX),
@@ -183,7 +183,7 @@ fn decode(
         document.json["meshes"][job.mesh]["primitives"][job.primitive]["attributes"][name.as_str()] =
             Value::from(place);
     }
-    let raw = draco::indices(&mesh, &indices).map_err(|why| match job.indices {
+    let raw = draco::indices(&mesh, indices.component_type).map_err(|why| match job.indices {
         Some(index) => mismatch(index, "indices", &why),
         None => Failure::model(why).at(own.clone()),
     })?;

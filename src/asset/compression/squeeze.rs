@@ -5,14 +5,14 @@ use serde_json::Value;
 use crate::asset::Document;
 use crate::asset::accessor_layout::view;
 use crate::asset::extensions::all_understood;
+use crate::asset::json::array;
 
 /// Leaves of a buffer what buffer views name, in the same order and on the same 16-byte boundaries. Does nothing where
 /// an extension might name bytes unseen, or a view is broken, which others tell.
 pub(super) fn squeeze(document: &mut Document, buffer: usize) {
     let Some(bytes) = document.buffers.get(buffer) else { return };
-    let count = document.json.get("bufferViews").and_then(Value::as_array).map_or(0, Vec::len);
     let mut used = Vec::new();
-    for index in 0..count {
+    for index in 0..array(&document.json, "bufferViews").len() {
         let Ok(view) = view(&document.json, index) else { return };
         if view.buffer == buffer {
             let Some(end) = view.offset.checked_add(view.length).filter(|end| *end <= bytes.len()) else { return };

@@ -2,18 +2,37 @@
 
 use std::collections::BTreeSet;
 
-use serde_json::{Map, Value};
+use serde::Deserialize;
+use serde_json::Value;
 
-use super::meshopt::{Filter, Mode, StreamLayout, decode};
+use super::meshopt::{Filter, StreamLayout, decode};
 use super::squeeze::squeeze;
-use super::{decompressed, extension, remove_extension, undeclare, word};
+use super::{decompressed, extension, remove_extension};
 use crate::asset::Document;
 use crate::asset::accessor::raw_elements;
-use crate::asset::accessor_layout::{list, needed, whole};
+use crate::asset::accessor_layout::view;
 use crate::asset::append::set_bounds;
-use crate::asset::extensions::MESHOPT;
+use crate::asset::extensions::{MESHOPT, undeclare};
+use crate::asset::json::{each_mut, list, read_key};
 use crate::asset::limits::Budget;
 use crate::error::{Code, Failure, Result, Warning};
+
+/// What the extension of a buffer says.
+#[derive(Deserialize)]
+struct Fallback {
+    #[serde(default)]
+    fallback: bool,
+}
+
+/// Where the stream of a buffer view is.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct ByteRange {
+    buffer: usize,
+    #[serde(default)]
+    byte_offset: usize,
+    byte_length: usize,
+}
 
 /// What a buffer view says of its compressed source.
 struct CompressedSource {
@@ -21,10 +40,7 @@ struct CompressedSource {
     name: &'static str,
     /// JSON pointer of the extension.
     pointer: String,
-    /// Buffer and byte range of the stream.
-    buffer: usize,
-    offset: usize,
-    length: usize,
+    range: ByteRange,
     layout: StreamLayout,
 }
 
@@ -36,20 +52,18 @@ pub(crate) fn placeholders(json: &Value) -> Result<BTreeSet<usize>> {
     let mut stand_ins = BTreeSet::new();
     for (index, buffer) in list(json, "buffers")?.iter().enumerate() {
         for name in MESHOPT {
-            let found = extension(buffer, name, &format!("/buffers/{index}"))?;
-            if found.is_some_and(|e| e.get("fallback").and_then(Value::as_bool) == Some(true)) {
+            let found: Option<Fallback> = extension(buffer, name, &format!("/buffers/{index}"))?;
+            if found.is_some_and(|e| e.fallback) {
                 stand_ins.insert(index);
             }
         }
     }
     let mut real = BTreeSet::new();
     for (index, view) in list(json, "bufferViews")?.iter().enumerate() {
-        let pointer = format!("/bufferViews/{index}");
-        let Some(object) = view.as_object() else { continue };
-        let parent = whole(object, "buffer", &pointer)?;
+        let parent: Option<usize> = read_key(view, "buffer", &format!("/bufferViews/{index}"))?;
         match source(view, index)? {
             Some(source) => {
-                real.insert(source.buffer);
+                real.insert(source.range.buffer);
                 stand_ins.extend(parent);
             }
             None => real.extend(parent),
@@ -73,19 +87,15 @@ pub(crate) fn views(
     let mut bytes = [[0; 2]; MESHOPT.len()];
     let mut sources = BTreeSet::new();
     for index in 0..list(&document.json, "bufferViews")?.len() {
-        let view = &document.json["bufferViews"][index];
-        let Some(source) = source(view, index)? else { continue };
+        let Some(source) = source(&document.json["bufferViews"][index], index)? else { continue };
         check()?;
-        let stream = document
-            .buffers
-            .get(source.buffer)
-            .and_then(|b| b.get(source.offset..source.offset.checked_add(source.length)?))
-            .ok_or_else(|| {
-                let message = format!("the compressed bytes leave buffer {}", source.buffer);
-                Failure::model(message).at(source.pointer.clone())
-            })?;
+        let ByteRange { buffer: from, byte_offset: start, byte_length } = source.range;
+        let stream = document.buffers.get(from).and_then(|b| b.get(start..start.checked_add(byte_length)?));
+        let stream = stream.ok_or_else(|| {
+            Failure::model(format!("the compressed bytes leave buffer {from}")).at(source.pointer.clone())
+        })?;
         let pointer = format!("/bufferViews/{index}");
-        let (parent, size) = target(view, &source, &pointer)?;
+        let (parent, size) = target(&document.json, index, &source, &pointer)?;
         budget.charge(size, &pointer)?;
         let data = decode(stream, &source.layout)
             .map_err(|why| Failure::model(format!("the compressed stream {why}")).at(source.pointer.clone()))?;
@@ -103,21 +113,19 @@ pub(crate) fn views(
         let view = &mut document.json["bufferViews"][index];
         view["byteOffset"] = Value::from(offset);
         remove_extension(view, source.name);
-        sources.insert(source.buffer);
+        sources.insert(from);
         if source.layout.filter != Filter::None {
             filtered.insert(index);
         }
         for (name, [before, after]) in MESHOPT.iter().zip(&mut bytes) {
             if *name == source.name {
-                *before += source.length;
+                *before += byte_length;
                 *after += size;
             }
         }
     }
     for (name, [before, after]) in MESHOPT.iter().zip(bytes) {
-        for buffer in document.json.get_mut("buffers").and_then(Value::as_array_mut).into_iter().flatten() {
-            remove_extension(buffer, name);
-        }
+        each_mut(&mut document.json, "buffers").for_each(|buffer| remove_extension(buffer, name));
         undeclare(&mut document.json, name);
         if after > 0 {
             warnings.push(decompressed(name, before, after));
@@ -139,7 +147,7 @@ pub(crate) fn renew_bounds(document: &mut Document, views: &BTreeSet<usize>) -> 
     }
     for index in 0..list(&document.json, "accessors")?.len() {
         let object = &document.json["accessors"][index];
-        let view = object.get("bufferView").and_then(Value::as_u64).and_then(|v| usize::try_from(v).ok());
+        let view: Option<usize> = read_key(object, "bufferView", &format!("/accessors/{index}"))?;
         if view.is_some_and(|v| views.contains(&v)) && (object.get("min").is_some() || object.get("max").is_some()) {
             let raw = raw_elements(document, index)?;
             set_bounds(&mut document.json["accessors"][index], &raw);
@@ -152,52 +160,27 @@ pub(crate) fn renew_bounds(document: &mut Document, views: &BTreeSet<usize>) -> 
 fn source(view: &Value, index: usize) -> Result<Option<CompressedSource>> {
     let own = format!("/bufferViews/{index}");
     for name in MESHOPT {
-        if let Some(object) = extension(view, name, &own)? {
-            return read(object, name, format!("{own}/extensions/{name}")).map(Some);
+        if let (Some(layout), Some(range)) =
+            (extension::<StreamLayout>(view, name, &own)?, extension(view, name, &own)?)
+        {
+            let pointer = format!("{own}/extensions/{name}");
+            layout.check().map_err(|why| Failure::model(why.to_string()).at(&*pointer))?;
+            return Ok(Some(CompressedSource { name, pointer, range, layout }));
         }
     }
     Ok(None)
 }
 
-fn read(object: &Map<String, Value>, name: &'static str, pointer: String) -> Result<CompressedSource> {
-    let modes = [("ATTRIBUTES", Mode::Attributes), ("TRIANGLES", Mode::Triangles), ("INDICES", Mode::Indices)];
-    let filters = [
-        ("NONE", Filter::None),
-        ("OCTAHEDRAL", Filter::Octahedral),
-        ("QUATERNION", Filter::Quaternion),
-        ("EXPONENTIAL", Filter::Exponential),
-        ("COLOR", Filter::Color),
-    ];
-    let layout = StreamLayout {
-        mode: word(object, "mode", &modes, &pointer)?
-            .ok_or_else(|| Failure::model("mode is missing").at(pointer.clone()))?,
-        filter: word(object, "filter", &filters, &pointer)?.unwrap_or(Filter::None),
-        count: needed(object, "count", &pointer)?,
-        stride: needed(object, "byteStride", &pointer)?,
-    };
-    layout.check().map_err(|why| Failure::model(why.to_string()).at(pointer.clone()))?;
-    Ok(CompressedSource {
-        name,
-        buffer: needed(object, "buffer", &pointer)?,
-        offset: whole(object, "byteOffset", &pointer)?.unwrap_or(0),
-        length: needed(object, "byteLength", &pointer)?,
-        layout,
-        pointer,
-    })
-}
-
 /// The buffer that a view names, and the bytes that the view has once it is decoded.
-fn target(view: &Value, source: &CompressedSource, pointer: &str) -> Result<(usize, usize)> {
-    let empty = Map::new();
-    let object = view.as_object().unwrap_or(&empty);
-    let wanted = needed(object, "byteLength", pointer)?;
+fn target(json: &Value, index: usize, source: &CompressedSource, pointer: &str) -> Result<(usize, usize)> {
+    let view = view(json, index)?;
     let size = source.layout.bytes().ok_or_else(|| {
         let message = "the compressed stream declares more bytes than there can be";
         Failure::new(Code::TooLarge, message).at(source.pointer.clone())
     })?;
-    if size != wanted {
-        let message = format!("byteLength is {wanted}, and the compressed elements take {size} bytes");
+    if size != view.length {
+        let message = format!("byteLength is {}, and the compressed elements take {size} bytes", view.length);
         return Err(Failure::model(message).at(format!("{pointer}/byteLength")));
     }
-    Ok((needed(object, "buffer", pointer)?, size))
+    Ok((view.buffer, size))
 }

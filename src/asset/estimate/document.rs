@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::super::extensions::MESHOPT;
 use super::super::glb;
-use super::super::json::array;
+use super::super::json::{array, number, whole};
 use super::super::limits::Limits;
 use super::super::load::Container;
 use super::super::primitive::declared_triangles;
@@ -61,7 +61,7 @@ pub(super) fn add(files: &mut Files, index: usize, container: Container, limits:
         {
             sum.image(*header, limits);
         }
-        sum.gathered(draft.image_length(object, index, files));
+        sum.gathered += draft.image_length(object, index, files);
     }
     draft.geometry(index, files, sum);
 }
@@ -76,7 +76,7 @@ fn chunks(file: &mut dyn Forward) -> Option<(u64, u64, u64)> {
 
 impl DocumentOutline {
     fn element<'a>(&'a self, key: &str, index: &Value) -> Option<&'a Value> {
-        array(&self.json, key).get(usize::try_from(index.as_u64()?).ok()?)
+        array(&self.json, key).get(number(index)?)
     }
 
     /// The file of the upload that a URI in the file `model` means.
@@ -141,11 +141,11 @@ impl DocumentOutline {
     fn view(&self, view: &Value, model: usize, files: &Files) -> Option<(BufferHolder, u64)> {
         let view = self.element("bufferViews", view)?;
         let offset = view.get("byteOffset").and_then(whole).unwrap_or(0);
-        let number = view.get("buffer")?;
-        let buffer = self.element("buffers", number)?;
+        let index = view.get("buffer")?;
+        let buffer = self.element("buffers", index)?;
         Some(match buffer.get("uri").and_then(Value::as_str) {
             None => (BufferHolder::File(model), self.bin.checked_add(offset)?),
-            Some(data) if uri::is_data(data) => (BufferHolder::Data(usize::try_from(number.as_u64()?).ok()?), offset),
+            Some(data) if uri::is_data(data) => (BufferHolder::Data(number(index)?), offset),
             Some(uri) => (BufferHolder::File(self.file(uri, model, files)?), offset),
         })
     }
@@ -170,22 +170,21 @@ impl DocumentOutline {
                 _ => Some(model),
             };
             let there = there.and_then(|f| files.known().get(f)).map_or(0, |f| f.length);
-            sum.gathered(declared.min(there));
+            sum.gathered += declared.min(there);
         }
         for view in array(&self.json, "bufferViews") {
             // Buffer views that grow when they are decoded.
             if view.get("extensions").is_some_and(|e| MESHOPT.iter().any(|name| e.get(name).is_some())) {
-                sum.gathered(view.get("byteLength").and_then(whole).unwrap_or(0));
+                sum.gathered += view.get("byteLength").and_then(whole).unwrap_or(0);
             }
         }
-        let meshes = array(&self.json, "meshes");
-        sum.triangles(meshes.iter().fold(0, |all, mesh| all.saturating_add(declared_triangles(&self.json, mesh))));
-        let primitives = meshes.iter().flat_map(|m| array(m, "primitives"));
+        let primitives = || array(&self.json, "meshes").iter().flat_map(|m| array(m, "primitives"));
+        primitives().for_each(|p| sum.triangles += declared_triangles(&self.json, p));
         let positions: BTreeSet<u64> =
-            primitives.filter_map(|p| p.get("attributes")?.get("POSITION")?.as_u64()).collect();
+            primitives().filter_map(|p| p.get("attributes")?.get("POSITION")?.as_u64()).collect();
         let counts =
             positions.iter().filter_map(|p| self.element("accessors", &Value::from(*p))?.get("count")?.as_u64());
-        sum.vertices(counts.fold(0, u64::saturating_add));
+        sum.vertices += counts.fold(0, u64::saturating_add);
     }
 }
 
@@ -198,15 +197,10 @@ enum BufferHolder {
     Data(usize),
 }
 
-/// A whole number, as writers without an integer type write it too.
-fn whole(value: &Value) -> Option<u64> {
-    value.as_u64().or_else(|| value.as_f64().filter(|f| *f >= 0.0).map(|f| f as u64))
-}
-
 /// The bytes of a data URI, perhaps one that was cut.
 fn data_bytes(data: &str) -> Option<Cow<'_, [u8]>> {
     let comma = data.find(',')? + 1;
     let whole = data.len() - (data.len() - comma) % 4;
-    let cut = |end: usize| uri::parse_data(data.get(..end)?).ok().map(|d| Cow::Owned(d.bytes));
+    let cut = |end: usize| uri::parse_data(data.get(..end)?).ok().map(Cow::Owned);
     cut(data.len()).or_else(|| cut(whole))
 }

@@ -37,10 +37,10 @@ pub struct Estimate {
 pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) -> Result<Estimate> {
     let mut sum = Sum::default();
     let mut all = Files::new(std::iter::once(model).chain(files.iter().copied()), limits)?;
-    sum.files(all.packed);
+    sum.files += all.packed;
     let mut models = Vec::new();
     for (index, known) in all.known().iter().enumerate() {
-        sum.files(known.length);
+        sum.files += known.length;
         if let Some(header) = known.image {
             sum.image(header, limits);
         }
@@ -53,7 +53,7 @@ pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) 
             Container::Obj => {
                 all.open(index, |file| obj::add(file, &mut sum));
                 // Its materials may name any of the images.
-                all.known().iter().filter(|k| k.image.is_some()).for_each(|k| sum.gathered(k.length));
+                all.known().iter().filter(|k| k.image.is_some()).for_each(|k| sum.gathered += k.length);
             }
             Container::Glb | Container::Gltf => document::add(&mut all, index, container, limits, &mut sum),
         }

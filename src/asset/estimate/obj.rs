@@ -24,8 +24,8 @@ pub(super) fn add(file: impl Read, sum: &mut Sum) {
         }
         file.consume(length);
     }
-    sum.triangles(triangles);
-    sum.vertices(vertices);
+    sum.triangles += triangles;
+    sum.vertices += vertices;
 }
 
 /// The line at hand.

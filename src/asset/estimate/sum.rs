@@ -5,6 +5,8 @@
 //! 53,000 triangles by `box_cutter`, some with pictures. The estimates are above all of them, and within 2.5 times those over 100 MB. Not in
 //! them: sheets that options make larger than the input's, and `atlas.merge`, where images of one role are decoded together.
 
+use std::num::Saturating;
+
 use super::super::limits::Limits;
 use super::Estimate;
 use crate::texture::Header;
@@ -27,61 +29,45 @@ const TRIANGLE: f64 = 1000.0;
 /// What the files of a model declare.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Sum {
-    files: u64,
-    gathered: u64,
-    texels: u64,
-    samples: u64,
+    /// Bytes of files, archives and what is in them.
+    pub(super) files: Saturating<u64>,
+    /// Bytes of buffers and encoded images, as often as they are copied.
+    pub(super) gathered: Saturating<u64>,
+    /// Triangles of all models.
+    pub(super) triangles: Saturating<u64>,
+    /// Vertices of all models.
+    pub(super) vertices: Saturating<u64>,
+    texels: Saturating<u64>,
+    samples: Saturating<u64>,
     largest_texels: u64,
     largest_samples: u64,
-    triangles: u64,
-    vertices: u64,
 }
 
 impl Sum {
-    /// Bytes of files, archives and what is in them.
-    pub(super) fn files(&mut self, bytes: u64) {
-        self.files = self.files.saturating_add(bytes);
-    }
-
-    /// Bytes of buffers and encoded images, as often as they are copied.
-    pub(super) fn gathered(&mut self, bytes: u64) {
-        self.gathered = self.gathered.saturating_add(bytes);
-    }
-
-    /// Triangles of a model.
-    pub(super) fn triangles(&mut self, count: u64) {
-        self.triangles = self.triangles.saturating_add(count);
-    }
-
-    /// Vertices of a model.
-    pub(super) fn vertices(&mut self, count: u64) {
-        self.vertices = self.vertices.saturating_add(count);
-    }
-
     /// An image, which is not decoded beyond the limit.
     pub(super) fn image(&mut self, header: Header, limits: &Limits) {
         let texels = (u64::from(header.width) * u64::from(header.height)).min(limits.max_image_pixels);
         let samples = texels.saturating_mul(u64::from(header.channels) * u64::from(header.depth / 8));
-        self.texels = self.texels.saturating_add(texels);
-        self.samples = self.samples.saturating_add(samples);
+        self.texels += texels;
+        self.samples += samples;
         self.largest_texels = self.largest_texels.max(texels);
         self.largest_samples = self.largest_samples.max(samples);
     }
 
     /// What that comes to. The loader gathers at most twice the input's limit.
     pub(super) fn estimate(&self, limits: &Limits) -> Estimate {
-        let triangles = self.triangles.min(limits.max_triangles);
+        let triangles = self.triangles.0.min(limits.max_triangles);
         // Three vertices of its own are the most that a triangle has.
-        let surface = triangles.max(self.vertices.min(limits.max_input_bytes) / 3);
+        let surface = triangles.max(self.vertices.0.min(limits.max_input_bytes) / 3);
         let parts = [
-            (FILE, self.files),
-            (GATHERED, self.gathered.min(limits.max_input_bytes.saturating_mul(2))),
+            (FILE, self.files.0),
+            (GATHERED, self.gathered.0.min(limits.max_input_bytes.saturating_mul(2))),
             (LARGEST_TEXEL, self.largest_texels),
             (LARGEST_SAMPLE, self.largest_samples),
-            (SAMPLE, self.samples),
+            (SAMPLE, self.samples.0),
             (TRIANGLE, surface),
         ];
         let bytes = BASE + parts.iter().map(|(factor, count)| factor * *count as f64).sum::<f64>();
-        Estimate { bytes: bytes as u64, texels: self.texels, triangles }
+        Estimate { bytes: bytes as u64, texels: self.texels.0, triangles }
     }
 }

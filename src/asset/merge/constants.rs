@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use serde_json::{Map, Value, json};
 
 use super::MergedMaterial;
-use crate::asset::json::{array, array_mut, object};
+use crate::asset::json::{array, object};
 use crate::asset::material_index::{Material, MaterialIndex};
 use crate::asset::{ARRAY_BUFFER, Document, RawAccessor, UvLayout, accessor_count};
 use crate::texture::{Format, Role, encode, from_samples, linear_to_srgb};
@@ -29,23 +29,20 @@ pub(super) fn fold(
     let materials = array(&doc.json, "materials").to_vec();
     let textured = |m: &usize| index.materials.get(*m).is_some_and(|s| !s.uses.is_empty());
     for (m, material) in materials.iter().enumerate().filter(|(m, _)| !textured(m)) {
-        let mut say = |why: &str| {
-            if let Some(entry) = report.get_mut(m) {
-                entry.kept = Some(why.to_owned());
-            }
-        };
-        let primitives = match readers(doc, index, m, uv_set) {
-            Ok(primitives) => primitives,
+        let found = readers(doc, index, m, uv_set).and_then(|primitives| {
+            let hosts = materials.iter().zip(&index.materials).filter(|(_, s)| !s.uses.is_empty());
+            let fitting =
+                hosts.filter_map(|(host, indexed)| Some((host, fit(material, host, indexed, uv_set)?))).next();
+            Ok((primitives, fitting.ok_or("no textured material differs in nothing but factors")?))
+        });
+        let (primitives, (host, constants)) = match found {
+            Ok(found) => found,
             Err(why) => {
-                say(why);
+                if let Some(entry) = report.get_mut(m) {
+                    entry.kept = Some(why.to_owned());
+                }
                 continue;
             }
-        };
-        let hosts = materials.iter().zip(&index.materials).filter(|(_, s)| !s.uses.is_empty());
-        let fitting = hosts.filter_map(|(host, indexed)| Some((host, fit(material, host, indexed, uv_set)?))).next();
-        let Some((host, constants)) = fitting else {
-            say("no textured material differs in nothing but factors");
-            continue;
         };
         if let Some(entry) = report.get_mut(m) {
             entry.folded = constants.iter().map(|c| c.factor.to_owned()).collect();
@@ -128,32 +125,21 @@ fn fit(material: &Value, host: &Value, indexed: &Material, uv_set: usize) -> Opt
         let known = [Role::BaseColor, Role::MetallicRoughness, Role::Occlusion, Role::Emissive];
         u.layout == UvLayout::plain(uv_set) && u.role.is_some_and(|r| known.contains(&r))
     });
-    if !plain || host.pointer(BASE).is_none() {
-        return None;
-    }
-    if rest(material) != rest(host) {
+    if !plain || host.pointer(BASE).is_none() || rest(material) != rest(host) {
         return None;
     }
     let opaque = matches!(material.get("alphaMode").and_then(Value::as_str), None | Some("OPAQUE"));
     let mut out = Vec::new();
-    let (own, theirs) = (
-        numbers(material, "/pbrMetallicRoughness/baseColorFactor", 4),
-        numbers(host, "/pbrMetallicRoughness/baseColorFactor", 4),
-    );
-    let channels = if opaque { 3 } else { 4 };
-    let colour: Option<Vec<f64>> = (0..channels).map(|c| ratio(own[c], theirs[c])).collect();
-    let colour: Vec<f64> =
-        colour?.iter().enumerate().map(|(c, v)| if c < 3 { linear_to_srgb(*v) } else { *v }).collect();
+    let colour = |v: &Value| numbers(v, "/pbrMetallicRoughness/baseColorFactor", 4);
+    let mut colour = ratios(&colour(material), &colour(host), if opaque { 3 } else { 4 })?;
+    colour.iter_mut().take(3).for_each(|v| *v = linear_to_srgb(*v));
     out.push(constant(BASE, "baseColorFactor", &colour));
     let (metal, rough) = ("/pbrMetallicRoughness/metallicFactor", "/pbrMetallicRoughness/roughnessFactor");
-    let pair = |v: &Value| [numbers(v, rough, 1)[0], numbers(v, metal, 1)[0]];
-    let (own, theirs) = (pair(material), pair(host));
+    // Occlusion, which may share the texture, is neutral.
+    let packed = |v: &Value| [1.0, numbers(v, rough, 1)[0], numbers(v, metal, 1)[0]];
+    let (own, theirs) = (packed(material), packed(host));
     if host.pointer(ROUGH).is_some() {
-        out.push(constant(
-            ROUGH,
-            "metallicFactor, roughnessFactor",
-            &[1.0, ratio(own[0], theirs[0])?, ratio(own[1], theirs[1])?],
-        ));
+        out.push(constant(ROUGH, "metallicFactor, roughnessFactor", &ratios(&own, &theirs, 3)?));
     } else if own != theirs {
         return None;
     }
@@ -166,8 +152,12 @@ fn fit(material: &Value, host: &Value, indexed: &Material, uv_set: usize) -> Opt
     };
     let (own, theirs) = (glow(material), glow(host));
     if host.get("emissiveTexture").is_some() {
-        let colour: Option<Vec<f64>> = (0..3).map(|c| ratio(own[c], theirs[c]).map(linear_to_srgb)).collect();
-        out.push(constant("/emissiveTexture", "emissiveFactor", &colour?));
+        let light = ratios(&own, &theirs, 3)?;
+        out.push(constant(
+            "/emissiveTexture",
+            "emissiveFactor",
+            &light.into_iter().map(linear_to_srgb).collect::<Vec<_>>(),
+        ));
     } else if own != theirs {
         return None;
     }
@@ -202,10 +192,11 @@ fn numbers(value: &Value, pointer: &str, count: usize) -> Vec<f64> {
     (0..count).map(|i| at(i).unwrap_or(1.0)).collect()
 }
 
-/// What a texel must hold so that `theirs` times it is `own`.
-fn ratio(own: f64, theirs: f64) -> Option<f64> {
-    let r = if own == theirs { 1.0 } else { own / theirs };
-    (0.0..=1.0).contains(&r).then_some(r)
+/// What the first `count` channels of a texel must hold so that `theirs` times it is `own`.
+fn ratios(own: &[f64], theirs: &[f64], count: usize) -> Option<Vec<f64>> {
+    let ratio = |(own, theirs): (&f64, &f64)| if own == theirs { 1.0 } else { own / theirs };
+    let ratios = own.iter().zip(theirs).take(count).map(ratio);
+    ratios.map(|r| (0.0..=1.0).contains(&r).then_some(r)).collect()
 }
 
 fn constant(path: &'static str, factor: &'static str, values: &[f64]) -> Constant {
@@ -234,7 +225,5 @@ fn texture(
     if let Some(sampler) = sampler {
         texture["sampler"] = sampler;
     }
-    let textures = array_mut(&mut doc.json, "textures")?;
-    textures.push(texture);
-    Ok(textures.len() - 1)
+    Ok(doc.push("textures", texture))
 }

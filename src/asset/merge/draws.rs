@@ -5,11 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use glam::{DMat4, DQuat, DVec3};
 use serde_json::Value;
 
-use super::join::{joined, key, triangles};
+use super::join::{joined, key};
 use super::shown;
 use crate::asset::Document;
-use crate::asset::json::array;
-use crate::asset::primitive::primitive_pointer;
+use crate::asset::json::{array, each_mut, keep, new_numbers, number, renumber};
+use crate::asset::primitive::{declared_triangles, primitive_pointer};
 use crate::error::Result;
 
 /// A mesh that several nodes show is copied into another only where it has no more triangles than this.
@@ -70,7 +70,7 @@ pub(super) fn across_nodes(doc: &mut Document) -> Result<()> {
         let mesh = doc.json.pointer(&format!("/meshes/{}", still.mesh)).unwrap_or(&Value::Null);
         for (p, primitive) in array(mesh, "primitives").iter().enumerate() {
             let shared = uses.get(&still.mesh).is_some_and(|n| *n > 1);
-            if shared && triangles(doc, primitive)? > MOST_COPIED {
+            if shared && declared_triangles(&doc.json, primitive) > MOST_COPIED {
                 continue;
             }
             if let Some(key) = key(doc, primitive, true)? {
@@ -131,32 +131,13 @@ pub(super) fn across_nodes(doc: &mut Document) -> Result<()> {
 /// Takes out the meshes that no node shows any more.
 fn drop_unused_meshes(doc: &mut Document, before: &BTreeMap<usize, usize>) {
     let after: BTreeSet<usize> = shown(&doc.json).collect();
-    let gone = |m: usize| before.contains_key(&m) && !after.contains(&m);
     let count = array(&doc.json, "meshes").len();
-    let mut number = vec![0u64; count];
-    let mut next = 0;
-    for (m, number) in number.iter_mut().enumerate() {
-        *number = next;
-        next += u64::from(!gone(m));
-    }
-    if next as usize == count {
-        return;
-    }
+    let kept: Vec<bool> = (0..count).map(|m| after.contains(&m) || !before.contains_key(&m)).collect();
     if let Some(meshes) = doc.json.get_mut("meshes").and_then(Value::as_array_mut) {
-        let mut m = 0;
-        meshes.retain(|_| {
-            m += 1;
-            !gone(m - 1)
-        });
+        keep(meshes, |m| kept[m]);
     }
-    for node in doc.json.get_mut("nodes").and_then(Value::as_array_mut).into_iter().flatten() {
-        if let Some(mesh) = node.get_mut("mesh")
-            && let Some(new) = mesh.as_u64().and_then(|m| number.get(m as usize))
-            && mesh.as_u64() != Some(*new)
-        {
-            *mesh = Value::from(*new);
-        }
-    }
+    let new = new_numbers(&kept);
+    each_mut(&mut doc.json, "nodes").filter_map(|n| n.get_mut("mesh")).for_each(|mesh| renumber(mesh, &new));
 }
 
 /// Nodes with a mesh, without skin, weights or extensions, that no animation moves, nor what they hang from, in the order of
@@ -164,10 +145,12 @@ fn drop_unused_meshes(doc: &mut Document, before: &BTreeMap<usize, usize>) {
 fn static_nodes(json: &Value) -> Vec<StaticNode> {
     let (nodes, scenes) = (array(json, "nodes"), array(json, "scenes"));
     let [scene] = scenes else { return Vec::new() };
-    let number = |v: &Value| v.as_u64().and_then(|n| usize::try_from(n).ok()).filter(|n| *n < nodes.len());
+    let node_number = |v: &Value| number(v).filter(|n| *n < nodes.len());
     let mut moving: BTreeSet<usize> = BTreeSet::new();
     for animation in array(json, "animations") {
-        moving.extend(array(animation, "channels").iter().filter_map(|c| c.pointer("/target/node").and_then(number)));
+        moving.extend(
+            array(animation, "channels").iter().filter_map(|c| c.pointer("/target/node").and_then(node_number)),
+        );
         // A pointer may move anything.
         let pointers = array(animation, "channels").iter();
         if pointers.into_iter().any(|c| c.pointer("/target/extensions").is_some()) {
@@ -175,21 +158,21 @@ fn static_nodes(json: &Value) -> Vec<StaticNode> {
         }
     }
     for skin in array(json, "skins") {
-        moving.extend(array(skin, "joints").iter().filter_map(number));
+        moving.extend(array(skin, "joints").iter().filter_map(node_number));
     }
     let mut seen = BTreeSet::new();
     let mut out = Vec::new();
     let mut stack: Vec<(usize, DMat4, usize)> = Vec::new();
-    stack.extend(array(scene, "nodes").iter().rev().filter_map(number).map(|n| (n, DMat4::IDENTITY, 0)));
+    stack.extend(array(scene, "nodes").iter().rev().filter_map(node_number).map(|n| (n, DMat4::IDENTITY, 0)));
     while let Some((n, parent, depth)) = stack.pop() {
         if !seen.insert(n) || depth > DEEPEST || moving.contains(&n) {
             continue;
         }
         let node = &nodes[n];
         let world = parent * local(node);
-        stack.extend(array(node, "children").iter().rev().filter_map(number).map(|c| (c, world, depth + 1)));
+        stack.extend(array(node, "children").iter().rev().filter_map(node_number).map(|c| (c, world, depth + 1)));
         let plain = ["skin", "weights", "extensions"].iter().all(|k| node.get(*k).is_none());
-        let mesh = node.get("mesh").and_then(Value::as_u64).and_then(|m| usize::try_from(m).ok());
+        let mesh = node.get("mesh").and_then(number);
         let mesh = mesh.filter(|m| array(json, "meshes").get(*m).is_some_and(|mesh| mesh.get("weights").is_none()));
         if let Some(mesh) = mesh.filter(|_| plain && world.is_finite()) {
             out.push(StaticNode { node: n, mesh, world });

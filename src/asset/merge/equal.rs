@@ -6,9 +6,10 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 
 use crate::asset::Document;
-use crate::asset::extensions::{self, VARIANTS};
-use crate::asset::json::{array, object_mut};
+use crate::asset::extensions::VARIANTS;
+use crate::asset::json::{array, each_mut, keep, new_numbers, object_mut, renumber};
 use crate::asset::material_index::MaterialIndex;
+use crate::asset::sources::each_source;
 use crate::error::Result;
 
 /// Textures name the first of images with equal bytes; the index follows.
@@ -20,16 +21,7 @@ pub(super) fn images(doc: &mut Document, index: &mut MaterialIndex) {
             same[i] = *first.entry(Sha256::digest(bytes).into()).or_insert(i);
         }
     }
-    for texture in doc.json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
-        if let Some(source) = texture.get_mut("source") {
-            renumber(source, &same);
-        }
-        for name in extensions::all().filter(|e| e.image_source).map(|e| e.name) {
-            if let Some(source) = texture.pointer_mut(&format!("/extensions/{name}/source")) {
-                renumber(source, &same);
-            }
-        }
-    }
+    each_source(&mut doc.json, |source| renumber(source, &same));
     let same = |image: usize| same.get(image).copied().unwrap_or(image);
     for texture in &mut index.textures {
         texture.image = texture.image.map(same);
@@ -37,18 +29,10 @@ pub(super) fn images(doc: &mut Document, index: &mut MaterialIndex) {
     }
 }
 
-/// Puts the new number in the place of an index; one that stays is left as it is written.
-fn renumber(index: &mut Value, new: &[usize]) {
-    let found = index.as_u64().and_then(|i| new.get(usize::try_from(i).ok()?)).map(|n| *n as u64);
-    if let Some(number) = found.filter(|n| index.as_u64() != Some(*n)) {
-        *index = Value::from(number);
-    }
-}
-
 /// Textures name the first of equal samplers (names aside).
 pub(super) fn samplers(doc: &mut Document) {
-    let (same, _) = firsts(array(&doc.json, "samplers"));
-    for texture in doc.json.get_mut("textures").and_then(Value::as_array_mut).into_iter().flatten() {
+    let same = firsts(array(&doc.json, "samplers"));
+    for texture in each_mut(&mut doc.json, "textures") {
         if let Some(sampler) = texture.get_mut("sampler") {
             renumber(sampler, &same);
         }
@@ -60,25 +44,21 @@ pub(super) fn samplers(doc: &mut Document) {
 /// # Errors
 /// `invalid_model` for a broken texture info.
 pub(super) fn textures(doc: &mut Document, index: &mut MaterialIndex) -> Result<()> {
-    let (same, first) = firsts(array(&doc.json, "textures"));
-    let mut number = vec![None; same.len()];
-    for (n, texture) in first.iter().enumerate() {
-        number[*texture] = Some(n);
-    }
+    let same = firsts(array(&doc.json, "textures"));
+    let kept: Vec<bool> = same.iter().enumerate().map(|(texture, first)| texture == *first).collect();
+    let numbers = new_numbers(&kept);
     for (m, material) in index.materials.iter_mut().enumerate() {
         for used in &mut material.uses {
-            let new = same.get(used.texture).and_then(|t| number[*t]);
+            let new = same.get(used.texture).map(|first| numbers[*first]);
             if let Some(new) = new.filter(|n| *n != used.texture) {
                 object_mut(&mut doc.json, &format!("/materials/{m}{}", used.path))?.insert("index".into(), new.into());
                 used.texture = new;
             }
         }
     }
-    let mut kept = number.iter();
-    index.textures.retain(|_| kept.next().is_none_or(Option::is_some));
+    keep(&mut index.textures, |texture| kept[texture]);
     if let Some(all) = doc.json.get_mut("textures").and_then(Value::as_array_mut) {
-        let mut keep = number.iter();
-        all.retain(|_| keep.next().is_none_or(Option::is_some));
+        keep(all, |texture| kept[texture]);
     }
     Ok(())
 }
@@ -86,10 +66,10 @@ pub(super) fn textures(doc: &mut Document, index: &mut MaterialIndex) -> Result<
 /// Primitives name the first of equal materials (names aside). Gives the material that each became; all of
 /// them stay in the list, so that their numbers stay.
 pub(super) fn materials(doc: &mut Document) -> Vec<usize> {
-    let (same, _) = firsts(array(&doc.json, "materials"));
+    let same = firsts(array(&doc.json, "materials"));
     let variants = format!("/extensions/{VARIANTS}/mappings");
-    for mesh in doc.json.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten() {
-        for primitive in mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten() {
+    for mesh in each_mut(&mut doc.json, "meshes") {
+        for primitive in each_mut(mesh, "primitives") {
             if let Some(m) = primitive.get_mut("material") {
                 renumber(m, &same);
             }
@@ -104,13 +84,10 @@ pub(super) fn materials(doc: &mut Document) -> Vec<usize> {
     same
 }
 
-/// By object: the first that is equal to it; and those that are such a first.
-fn firsts(objects: &[Value]) -> (Vec<usize>, Vec<usize>) {
+/// By object: the first that is equal to it.
+fn firsts(objects: &[Value]) -> Vec<usize> {
     let mut known: BTreeMap<String, usize> = BTreeMap::new();
-    let same: Vec<usize> =
-        objects.iter().enumerate().map(|(i, o)| *known.entry(canonical(o, true)).or_insert(i)).collect();
-    let first = (0..objects.len()).filter(|i| same[*i] == *i).collect();
-    (same, first)
+    objects.iter().enumerate().map(|(i, o)| *known.entry(canonical(o, true)).or_insert(i)).collect()
 }
 
 /// A text that equal values share, whatever the order of their keys and the spelling of their numbers. `top` leaves out the name.

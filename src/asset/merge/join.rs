@@ -7,27 +7,13 @@ use serde_json::{Map, Value};
 
 use super::shown;
 use crate::asset::json::{array, checked, object};
+use crate::asset::primitive::declared_triangles;
 use crate::asset::{
     ARRAY_BUFFER, ComponentType, Document, ELEMENT_ARRAY_BUFFER, RawAccessor, accessor_count, accessor_shape,
     raw_elements, read_indices, read_vec2, read_vec3, read_vec4,
 };
 use crate::error::{Failure, Result};
-
-/// Triangles that a primitive draws, by its declared counts.
-///
-/// # Errors
-/// `invalid_model` for a broken accessor.
-pub(super) fn triangles(doc: &Document, primitive: &Value) -> Result<u64> {
-    let position = || primitive.get("attributes")?.get("POSITION");
-    let Some(accessor) = primitive.get("indices").or_else(position) else { return Ok(0) };
-    let accessor = checked(accessor, array(&doc.json, "accessors").len(), || "/meshes".to_owned())?;
-    let corners = accessor_count(doc, accessor)? as u64;
-    Ok(match primitive.get("mode").map_or(Some(4), Value::as_u64) {
-        Some(4) => corners / 3,
-        Some(5 | 6) => corners.saturating_sub(2),
-        _ => 0,
-    })
-}
+use crate::texture::mix;
 
 /// What the nodes draw: the number of triangles, and a sum over them of the texture coordinates of their corners that does not
 /// depend on the order of triangles or corners. Joining changes neither.
@@ -40,7 +26,7 @@ pub(super) fn drawn(doc: &Document) -> Result<(u64, u64)> {
     let (mut count, mut sum) = (0u64, 0u64);
     for (mesh, times) in uses {
         for primitive in array(doc.json.pointer(&format!("/meshes/{mesh}")).unwrap_or(&Value::Null), "primitives") {
-            count = count.saturating_add(times.saturating_mul(triangles(doc, primitive)?));
+            count = count.saturating_add(times.saturating_mul(declared_triangles(&doc.json, primitive)));
             sum = sum.wrapping_add(times.wrapping_mul(read_at_corners(doc, primitive)?));
         }
     }
@@ -59,11 +45,11 @@ fn read_at_corners(doc: &Document, primitive: &Value) -> Result<u64> {
         let uvs = read_vec2(doc, index(doc, accessor)?)?;
         let corner = |v: usize| {
             let [x, y] = uvs.get(v).copied().unwrap_or_default().map(|c| u64::from(c.to_bits()));
-            mixed(x | y << 32)
+            mix(x | y << 32)
         };
         let mut add = |t: [usize; 3]| {
             let corners = t.map(corner).iter().fold(set, |all, c| all.wrapping_add(*c));
-            sum = sum.wrapping_add(mixed(corners));
+            sum = sum.wrapping_add(mix(corners));
         };
         match &order {
             Some(order) => order.as_chunks::<3>().0.iter().for_each(|t| add(t.map(|v| v as usize))),
@@ -71,14 +57,6 @@ fn read_at_corners(doc: &Document, primitive: &Value) -> Result<u64> {
         }
     }
     Ok(sum)
-}
-
-/// Bits mixed so that sums of them do not agree by chance (splitmix64).
-fn mixed(x: u64) -> u64 {
-    let mut z = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 /// What must be equal for primitives to be put together: material, attributes with their formats, and nothing beyond. None for

@@ -19,7 +19,7 @@ use serde_json::Value;
 
 use super::document::Document;
 use super::extensions;
-use super::json::array;
+use super::json::{array, number};
 use super::material_index::MaterialIndex;
 use super::sources::{drop_images, each_source};
 use crate::error::{Failure, Result};
@@ -132,7 +132,7 @@ pub fn finish(doc: &mut Document, merge: Merge) -> Result<Merged> {
 /// Images that textures name.
 fn named_by_textures(doc: &mut Document) -> BTreeSet<usize> {
     let mut named = BTreeSet::new();
-    each_source(&mut doc.json, |source| named.extend(source.as_u64().and_then(|i| usize::try_from(i).ok())));
+    each_source(&mut doc.json, |source| named.extend(number(source)));
     named
 }
 
@@ -147,7 +147,7 @@ fn read_by_materials(index: &MaterialIndex) -> [u64; 2] {
 
 /// The meshes that nodes show, each as often as it is shown.
 fn shown(json: &Value) -> impl Iterator<Item = usize> {
-    array(json, "nodes").iter().filter_map(|n| n.get("mesh")?.as_u64().and_then(|m| usize::try_from(m).ok()))
+    array(json, "nodes").iter().filter_map(|n| number(n.get("mesh")?))
 }
 
 fn draw_calls(json: &Value) -> u64 {

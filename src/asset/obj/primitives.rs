@@ -10,6 +10,7 @@ use super::polygon::Triangulator;
 use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
 use crate::asset::{Document, RawAccessor};
 use crate::error::Warning;
+use crate::texture::srgb_to_linear;
 
 /// One primitive.
 #[derive(Debug, Default)]
@@ -111,15 +112,15 @@ impl Part {
         warnings: &mut Vec<Warning>,
     ) -> Value {
         let mut attributes = json!({});
-        let floats = RawAccessor::from_floats(&self.positions);
-        attributes["POSITION"] = json!(doc.append_accessor(&floats, Some(ARRAY_BUFFER), true));
+        let mut add = |name: &str, floats: RawAccessor| {
+            attributes[name] = json!(doc.append_accessor(&floats, Some(ARRAY_BUFFER), name == "POSITION"));
+        };
+        add("POSITION", RawAccessor::from_floats(&self.positions));
         if !self.normals.is_empty() {
-            let floats = RawAccessor::from_floats(&self.normals);
-            attributes["NORMAL"] = json!(doc.append_accessor(&floats, Some(ARRAY_BUFFER), false));
+            add("NORMAL", RawAccessor::from_floats(&self.normals));
         }
         if !self.uvs.is_empty() {
-            let floats = RawAccessor::from_floats(&self.uvs);
-            attributes["TEXCOORD_0"] = json!(doc.append_accessor(&floats, Some(ARRAY_BUFFER), false));
+            add("TEXCOORD_0", RawAccessor::from_floats(&self.uvs));
         }
         if !self.colors.is_empty() && textured {
             let message = "vertex colours beside a colour map are dropped: the map is meant alone";
@@ -129,8 +130,7 @@ impl Part {
                 warnings.push(warning);
             }
         } else if !self.colors.is_empty() {
-            let floats = RawAccessor::from_floats(&linear(&self.colors));
-            attributes["COLOR_0"] = json!(doc.append_accessor(&floats, Some(ARRAY_BUFFER), false));
+            add("COLOR_0", RawAccessor::from_floats(&linear(&self.colors)));
         }
         let indices = RawAccessor::from_indices(&self.indices);
         let indices = doc.append_accessor(&indices, Some(ELEMENT_ARRAY_BUFFER), false);
@@ -146,10 +146,7 @@ impl Part {
 fn linear(colors: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let bytes = colors.iter().flatten().any(|c| *c > 1.0);
     let scale = if bytes { 255.0 } else { 1.0 };
-    let decode = |c: f32| {
-        let c = (f64::from(c) / scale).clamp(0.0, 1.0);
-        (if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }) as f32
-    };
+    let decode = |c: f32| srgb_to_linear((f64::from(c) / scale).clamp(0.0, 1.0)) as f32;
     colors.iter().map(|c| c.map(decode)).collect()
 }
 

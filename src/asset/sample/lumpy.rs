@@ -6,24 +6,23 @@ use serde_json::json;
 use super::paint::{bumps, glow, marble, orm, paint};
 use super::random::Random;
 use super::scene::Scene;
-use super::surface::{Surface, Unwrapped, lumpy_ball, regions, unwrap};
+use super::surface::{Unwrapped, lumpy_ball, regions, unwrap};
 use crate::asset::{ARRAY_BUFFER, ComponentType, Kind};
 
 const BACKGROUND: [u8; 3] = [40, 40, 44];
 
 /// The whole ball as one shape of `charts` charts.
-fn ball(squares: i32, charts: usize, slack: f64, seed: u64) -> (Surface, Unwrapped) {
+fn ball(squares: i32, charts: usize, slack: f64, seed: u64) -> Unwrapped {
     let surface = lumpy_ball(squares, false);
     let mut random = Random(seed);
     let region = regions(&surface, surface.triangles.len(), charts, &mut random);
     let faces: Vec<usize> = (0..surface.triangles.len()).collect();
-    let shape = unwrap(&surface, &faces, &region, slack, &mut random);
-    (surface, shape)
+    unwrap(&surface, &faces, &region, slack, &mut random)
 }
 
 /// Every slot of the core material, the packed one at half size, and tangents.
 pub(crate) fn textured() -> Scene {
-    let (_, shape) = ball(18, 24, 0.1, 1);
+    let shape = ball(18, 24, 0.1, 1);
     let mut scene = Scene::new("textured");
     let shapes = [&shape];
     let base = scene.texture("base_color", paint(&shapes, [1024; 2], BACKGROUND, |p| marble(p.position)));
@@ -50,7 +49,7 @@ pub(crate) fn textured() -> Scene {
 
 /// Many small charts, as scans have.
 pub(crate) fn fragmented() -> Scene {
-    let (_, shape) = ball(30, 500, 0.15, 2);
+    let shape = ball(30, 500, 0.15, 2);
     let mut scene = Scene::new("fragmented");
     let base = scene.texture("base_color", paint(&[&shape], [2048; 2], BACKGROUND, |p| marble(p.position)));
     let material = scene.material("scan", base);
@@ -91,7 +90,7 @@ fn centre(shape: &Unwrapped, chart: usize) -> DVec2 {
 
 /// Charts in other tiles, to both sides.
 pub(crate) fn tiled() -> Scene {
-    let (_, mut shape) = ball(12, 12, 0.1, 4);
+    let mut shape = ball(12, 12, 0.1, 4);
     let mut scene = Scene::new("tiled");
     let base = scene.texture("base_color", paint(&[&shape], [512; 2], BACKGROUND, |p| marble(p.position)));
     let material = scene.material("tiled", base);
@@ -105,7 +104,7 @@ pub(crate) fn tiled() -> Scene {
 /// 16-bit positions, 8-bit normals and 16-bit UVs, interleaved in one buffer view.
 pub(crate) fn quantized() -> Scene {
     const SCALE: f64 = 1.5;
-    let (_, shape) = ball(12, 10, 0.1, 5);
+    let shape = ball(12, 10, 0.1, 5);
     let mut scene = Scene::new("quantized");
     let base = scene.texture("base_color", paint(&[&shape], [512; 2], BACKGROUND, |p| marble(p.position)));
     let material = scene.material("quantized", base);
@@ -126,8 +125,8 @@ pub(crate) fn quantized() -> Scene {
         scene.push(
             "accessors",
             json!({
-                "bufferView": view, "byteOffset": offset, "componentType": component.gl(), "normalized": true,
-                "count": shape.positions.len(), "type": kind.name(),
+                "bufferView": view, "byteOffset": offset, "componentType": component, "normalized": true,
+                "count": shape.positions.len(), "type": kind,
             }),
         )
     };

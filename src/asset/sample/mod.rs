@@ -63,14 +63,7 @@ pub fn sample(name: &str) -> Result<Vec<u8>> {
     maker().document.to_glb()
 }
 
-/// [`sample`], made once for all tests of this process.
-#[cfg(test)]
-pub(crate) fn made(name: &str) -> &'static [u8] {
-    use std::sync::OnceLock;
-    static MADE: [OnceLock<Vec<u8>>; SAMPLES.len()] = [const { OnceLock::new() }; SAMPLES.len()];
-    let index = SAMPLES.iter().position(|(known, _)| *known == name).expect("a sample of that name");
-    MADE[index].get_or_init(|| sample(name).expect("a sample"))
-}
-
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+pub(crate) use tests::made;

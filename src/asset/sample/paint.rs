@@ -1,11 +1,10 @@
 //! Textures painted over an unwrapped surface, each texel by the point that it lies on.
 
 use glam::{DVec2, DVec3};
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
 
 use super::random::{mix, smooth};
 use super::surface::Unwrapped;
+use crate::texture::{Format, encode, from_samples};
 
 /// A point of the surface, as a painter sees it.
 #[derive(Debug, Clone, Copy)]
@@ -45,7 +44,10 @@ pub(crate) fn paint(
         }
     }
     grow(&mut texels, &mut filled, width);
-    encode(&texels, width, height)
+    let image = from_samples([width as u32, height as u32], 3, texels.into_flattened());
+    let file = image.and_then(|image| encode(&image, Format::Png, 100));
+    debug_assert!(file.is_ok(), "writing to memory does not fail");
+    file.unwrap_or_default()
 }
 
 fn point(shape: &Unwrapped, triangle: [usize; 3], weights: [f64; 3]) -> Point {
@@ -97,15 +99,6 @@ fn grow(texels: &mut [[u8; 3]], filled: &mut [bool], width: usize) {
         }
         rim = next;
     }
-}
-
-fn encode(texels: &[[u8; 3]], width: usize, height: usize) -> Vec<u8> {
-    let mut out = Vec::new();
-    let encoder = PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive);
-    let colour = ExtendedColorType::Rgb8;
-    let written = encoder.write_image(texels.as_flattened(), width as u32, height as u32, colour);
-    debug_assert!(written.is_ok(), "writing to memory does not fail");
-    out
 }
 
 /// Smooth colours with fine stripes and grain.

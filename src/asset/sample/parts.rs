@@ -8,7 +8,7 @@ use serde_json::json;
 use super::paint::{marble, paint};
 use super::scene::{Scene, floats2, floats3};
 use super::surface::Unwrapped;
-use crate::asset::{ARRAY_BUFFER, RawAccessor};
+use crate::asset::{ARRAY_BUFFER, ComponentType, Kind, RawAccessor};
 
 const BACKGROUND: [u8; 3] = [40, 40, 44];
 
@@ -71,14 +71,7 @@ pub(crate) fn skinned() -> Scene {
             .zip(&weights)
             .flat_map(|(j, w)| [0, 1, 2, 3].map(|k| if w[k] == 0.0 { 0 } else { j[k] }))
             .collect();
-        let joints = RawAccessor {
-            component_type: crate::asset::ComponentType::U8,
-            kind: crate::asset::Kind::Vec4,
-            normalized: false,
-            element_size: 4,
-            count: shape.positions.len(),
-            data: joints,
-        };
+        let joints = RawAccessor::new(ComponentType::U8, Kind::Vec4, false, joints);
         primitive["attributes"]["JOINTS_0"] = json!(scene.document.append_accessor(&joints, Some(ARRAY_BUFFER), false));
         primitive["attributes"]["WEIGHTS_0"] = json!(scene.attribute(&weights));
         let swell: Vec<DVec3> =

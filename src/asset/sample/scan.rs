@@ -205,12 +205,7 @@ fn project(surface: &Surface, view: &[usize], chart: &[usize], random: &mut Rand
                 let p = surface.positions[v];
                 // v runs downwards.
                 let seen = DVec2::new(p.dot(right), -p.dot(up)) * (DISTANCE / (DISTANCE - p.dot(axis)));
-                out.origin.push(v);
-                out.chart.push(*chart);
-                out.positions.push(p);
-                out.normals.push(surface.normals[v]);
-                out.uvs.push(turn * seen);
-                out.origin.len() - 1
+                out.push(v, *chart, p, surface.normals[v], turn * seen)
             })
         });
         out.triangles.push(triangle);
@@ -221,20 +216,16 @@ fn project(surface: &Surface, view: &[usize], chart: &[usize], random: &mut Rand
 /// Packs the boxes of the charts in rows, the highest first, as large as a sheet of `size` texels takes them.
 fn place_in_rows(shape: &mut Unwrapped, size: f64, random: &mut Random) {
     let charts = shape.chart.iter().max().map_or(0, |last| last + 1);
-    let mut low = vec![DVec2::INFINITY; charts];
-    let mut high = vec![DVec2::NEG_INFINITY; charts];
-    for (chart, uv) in shape.chart.iter().zip(&shape.uvs) {
-        low[*chart] = low[*chart].min(*uv);
-        high[*chart] = high[*chart].max(*uv);
-    }
+    let boxes = shape.chart_boxes(charts);
+    let size_of = |chart: usize| boxes[chart].1 - boxes[chart].0;
     let mut order: Vec<usize> = (0..charts).collect();
-    order.sort_by(|a, b| (high[*b] - low[*b]).y.total_cmp(&(high[*a] - low[*a]).y).then(a.cmp(b)));
+    order.sort_by(|a, b| size_of(*b).y.total_cmp(&size_of(*a).y).then(a.cmp(b)));
     // Corners in texels at a scale, and the height of all rows.
     let rows = |scale: f64| {
         let mut corners = vec![DVec2::ZERO; charts];
         let (mut at, mut height) = (DVec2::ZERO, 0.0);
         for chart in &order {
-            let own = (high[*chart] - low[*chart]) * scale + 2.0 * MARGIN;
+            let own = size_of(*chart) * scale + 2.0 * MARGIN;
             if at.x + own.x > size {
                 at = DVec2::new(0.0, at.y + height);
                 height = 0.0;
@@ -248,14 +239,14 @@ fn place_in_rows(shape: &mut Unwrapped, size: f64, random: &mut Random) {
     let (mut fits, mut beyond) = (0.0, size);
     for _ in 0..30 {
         let middle = 0.5 * (fits + beyond);
-        let widest = order.iter().map(|c| (high[*c] - low[*c]).x).fold(0.0, f64::max) * middle + 2.0 * MARGIN;
+        let widest = order.iter().map(|c| size_of(*c).x).fold(0.0, f64::max) * middle + 2.0 * MARGIN;
         if widest <= size && rows(middle).1 <= size { fits = middle } else { beyond = middle }
     }
     // Photographs are not cut at whole texels.
     let (corners, _) = rows(fits);
     let stray: Vec<DVec2> = corners.iter().map(|_| DVec2::new(random.unit(), random.unit())).collect();
     for (chart, uv) in shape.chart.iter().zip(&mut shape.uvs) {
-        *uv = ((*uv - low[*chart]) * fits + corners[*chart] + stray[*chart]) / size;
+        *uv = ((*uv - boxes[*chart].0) * fits + corners[*chart] + stray[*chart]) / size;
     }
 }
 
@@ -279,11 +270,6 @@ fn soil(shape: &mut Unwrapped, random: &mut Random) {
 }
 
 /// A vertex once more.
-fn copy(shape: &mut Unwrapped, vertex: usize) -> usize {
-    shape.origin.push(shape.origin[vertex]);
-    shape.chart.push(shape.chart[vertex]);
-    shape.positions.push(shape.positions[vertex]);
-    shape.normals.push(shape.normals[vertex]);
-    shape.uvs.push(shape.uvs[vertex]);
-    shape.origin.len() - 1
+fn copy(shape: &mut Unwrapped, v: usize) -> usize {
+    shape.push(shape.origin[v], shape.chart[v], shape.positions[v], shape.normals[v], shape.uvs[v])
 }

@@ -157,6 +157,28 @@ pub(crate) struct Unwrapped {
     pub(crate) triangles: Vec<[usize; 3]>,
 }
 
+impl Unwrapped {
+    /// Appends a copy of a vertex of the surface, which has no tangent yet; gives its index.
+    pub(crate) fn push(&mut self, origin: usize, chart: usize, position: DVec3, normal: DVec3, uv: DVec2) -> usize {
+        self.origin.push(origin);
+        self.chart.push(chart);
+        self.positions.push(position);
+        self.normals.push(normal);
+        self.uvs.push(uv);
+        self.origin.len() - 1
+    }
+
+    /// The least and the greatest UV of each of `charts` charts.
+    pub(crate) fn chart_boxes(&self, charts: usize) -> Vec<(DVec2, DVec2)> {
+        let mut boxes = vec![(DVec2::INFINITY, DVec2::NEG_INFINITY); charts];
+        for (chart, uv) in self.chart.iter().zip(&self.uvs) {
+            let (low, high) = &mut boxes[*chart];
+            (*low, *high) = (low.min(*uv), high.max(*uv));
+        }
+        boxes
+    }
+}
+
 /// Unwraps faces chart by chart (central projection from the origin, which turns straight over the whole chart and so
 /// cannot overlap), turns each chart by chance and puts it somewhere into its own cell of a square grid. `slack` is the
 /// share of a cell that the largest chart leaves free.
@@ -194,13 +216,9 @@ pub(crate) fn unwrap(
         let triangle = surface.triangles[face].map(|v| {
             *known.entry((chart, v)).or_insert_with(|| {
                 let d = surface.directions[v];
-                out.origin.push(v);
-                out.chart.push(chart);
-                out.positions.push(surface.positions[v]);
-                out.normals.push(surface.normals[v]);
                 // v runs downwards.
-                out.uvs.push(DVec2::new(d.dot(right), -d.dot(up)) / d.dot(axis).max(0.2));
-                out.origin.len() - 1
+                let uv = DVec2::new(d.dot(right), -d.dot(up)) / d.dot(axis).max(0.2);
+                out.push(v, chart, surface.positions[v], surface.normals[v], uv)
             })
         });
         out.triangles.push(triangle);
@@ -214,21 +232,17 @@ pub(crate) fn unwrap(
 fn place(out: &mut Unwrapped, charts: usize, slack: f64, random: &mut Random) {
     let side = (charts as f64).sqrt().ceil();
     let cell = 1.0 / side;
-    let mut low = vec![DVec2::INFINITY; charts];
-    let mut high = vec![DVec2::NEG_INFINITY; charts];
-    for (chart, uv) in out.chart.iter().zip(&out.uvs) {
-        low[*chart] = low[*chart].min(*uv);
-        high[*chart] = high[*chart].max(*uv);
-    }
-    let largest = low.iter().zip(&high).map(|(l, h)| (*h - *l).max_element()).fold(1e-9, f64::max);
+    let boxes = out.chart_boxes(charts);
+    let largest = boxes.iter().map(|(low, high)| (*high - *low).max_element()).fold(1e-9, f64::max);
     let scale = cell * (1.0 - slack) / largest;
     let shift: Vec<DVec2> = (0..charts)
         .map(|chart| {
             let corner = DVec2::new(chart as f64 % side, (chart as f64 / side).floor()) * cell;
-            let room = DVec2::splat(cell) - (high[chart] - low[chart]) * scale;
+            let (low, high) = boxes[chart];
+            let room = DVec2::splat(cell) - (high - low) * scale;
             // A sixth of the room stays free on every side.
             let chance = DVec2::new(random.unit(), random.unit()) * (2.0 / 3.0) + 1.0 / 6.0;
-            corner + room * chance - low[chart] * scale
+            corner + room * chance - low * scale
         })
         .collect();
     for (chart, uv) in out.chart.iter().zip(&mut out.uvs) {

@@ -1,5 +1,7 @@
 //! What every sample promises.
 
+use std::sync::OnceLock;
+
 use glam::{DVec2, DVec3};
 
 use super::*;
@@ -7,6 +9,13 @@ use crate::asset::{Document, File, Limits, load, read, read_indices, read_vec2, 
 use crate::asset::{MaterialIndex, ReadOptions};
 use crate::atlas::{Atlas, Charts, Loops, Topology};
 use crate::context::Context;
+
+/// [`sample`], made once for all tests of this process.
+pub(crate) fn made(name: &str) -> &'static [u8] {
+    static MADE: [OnceLock<Vec<u8>>; SAMPLES.len()] = [const { OnceLock::new() }; SAMPLES.len()];
+    let index = SAMPLES.iter().position(|(known, _)| *known == name).expect("a sample of that name");
+    MADE[index].get_or_init(|| sample(name).expect("a sample"))
+}
 
 fn open(name: &str) -> Document {
     let file = File { path: format!("{name}.glb"), bytes: made(name).to_vec() };

@@ -1,13 +1,15 @@
 //! Attributes and morph targets for the vertices of a pool: copied bit by bit, interpolated where a face was split.
 
+use std::collections::BTreeMap;
+
 use serde_json::{Map, Value};
 
 use super::blend::{copied, extend, interpolated, nearest, plain, unit, wide};
-use super::skin::Influences;
+use super::skin::influences;
 use super::vertices::Vertices;
+use crate::asset::ComponentType;
 use crate::asset::Document;
 use crate::asset::accessor::{RawAccessor, accessor_shape, raw_elements, read_vec};
-use crate::asset::accessor_type::ComponentType;
 use crate::asset::append::ARRAY_BUFFER;
 use crate::asset::json::{array, checked};
 use crate::error::{Code, Failure, Result};
@@ -43,14 +45,10 @@ pub(super) fn emit(
     if vertices.any_turn() {
         emitter.frame = emitter.frame(attributes, pointer)?;
     }
-    let mut skin = Influences::default();
+    let mut skin = BTreeMap::new();
     if emitter.split {
-        skin = Influences::read(
-            attributes,
-            &vertices.appended,
-            |name, accessor| emitter.checked(accessor, &format!("{pointer}/attributes/{name}")),
-            doc,
-        )?;
+        let checked = |name: &str, accessor: &Value| emitter.checked(accessor, &format!("{pointer}/attributes/{name}"));
+        skin = influences(attributes, &vertices.appended, checked, doc)?;
     }
     let all = !vertices.appended.is_empty();
     let written = format!("TEXCOORD_{}", layout[1]);
@@ -65,7 +63,7 @@ pub(super) fn emit(
         let mut new = accessor.clone();
         if *name != written && (all || (name == "TANGENT" && emitter.frame.is_some())) {
             let accessor = emitter.checked(accessor, &at)?;
-            let raw = match skin.take(name) {
+            let raw = match skin.remove(name) {
                 Some(raw) => raw,
                 None => emitter.attribute(name, accessor)?,
             };
@@ -112,7 +110,7 @@ impl Emitter<'_> {
             return Err(Failure::model(text).at(at));
         }
         // Floats at the most.
-        let size = 4 * shape.kind.components() as u64;
+        let size = 4 * shape.kind.multiplicity() as u64;
         let held = self.out.buffers.first().map_or(0, |b| b.len() as u64);
         if held.saturating_add(size.saturating_mul(self.vertices.uvs.len() as u64)) > MOST_BYTES {
             return Err(Failure::new(Code::TooLarge, "the refined vertices are more than a GLB can hold").at(at));
@@ -128,16 +126,20 @@ impl Emitter<'_> {
         let (Some(normal), Some(tangent)) = (attributes.get("NORMAL"), attributes.get("TANGENT")) else {
             return Ok(None);
         };
-        let normal = self.checked(normal, &format!("{pointer}/attributes/NORMAL"))?;
+        let normals = self.normals(self.checked(normal, &format!("{pointer}/attributes/NORMAL"))?)?;
         let tangent = self.checked(tangent, &format!("{pointer}/attributes/TANGENT"))?;
-        let points = &self.vertices.appended;
-        let mut normals = read_vec::<3>(self.doc, normal)?;
-        extend(&mut normals, points, unit);
         let mut hands: Vec<f32> = read_vec::<4>(self.doc, tangent)?.iter().map(|t| t[3]).collect();
-        let more = points.iter().map(|p| hands.get(nearest(p) as usize).copied().unwrap_or(1.0));
-        let more: Vec<f32> = more.collect();
-        hands.extend(more);
+        for point in &self.vertices.appended {
+            hands.push(hands.get(nearest(point) as usize).copied().unwrap_or(1.0));
+        }
         Ok(Some(TangentFrame { normals, hands }))
+    }
+
+    /// NORMAL of every vertex of the pool.
+    fn normals(&self, accessor: usize) -> Result<Vec<[f32; 3]>> {
+        let mut normals = read_vec(self.doc, accessor)?;
+        extend(&mut normals, &self.vertices.appended, unit);
+        Ok(normals)
     }
 
     fn uvs(&mut self, old: &[[f32; 2]]) -> Value {
@@ -151,13 +153,8 @@ impl Emitter<'_> {
 
     /// An attribute other than joints and weights, for every vertex of the pool.
     fn attribute(&self, name: &str, accessor: usize) -> Result<RawAccessor> {
-        let points = &self.vertices.appended;
         match name {
-            "NORMAL" if self.split => {
-                let mut normals = read_vec::<3>(self.doc, accessor)?;
-                extend(&mut normals, points, unit);
-                Ok(RawAccessor::from_floats(&normals))
-            }
+            "NORMAL" if self.split => Ok(RawAccessor::from_floats(&self.normals(accessor)?)),
             "TANGENT" if self.split || self.frame.is_some() => self.tangents(accessor),
             _ => self.other(name, accessor),
         }
@@ -195,9 +192,7 @@ impl Emitter<'_> {
     /// TANGENT where it was not uploaded and charts were cut or joined: that of the uploaded layout, turned.
     fn made_tangents(&mut self, attributes: &Map<String, Value>, pointer: &str) -> Result<Option<Value>> {
         let Some(normal) = attributes.get("NORMAL").filter(|_| self.vertices.has_tangents()) else { return Ok(None) };
-        let accessor = self.checked(normal, &format!("{pointer}/attributes/NORMAL"))?;
-        let mut normals = read_vec::<3>(self.doc, accessor)?;
-        extend(&mut normals, &self.vertices.appended, unit);
+        let normals = self.normals(self.checked(normal, &format!("{pointer}/attributes/NORMAL"))?)?;
         let made = self.vertices.tangents.iter().zip(&self.vertices.turns).zip(&normals);
         let tangents: Vec<[f32; 4]> = made
             .map(|((tangent, turn), normal)| {

@@ -4,8 +4,8 @@ use glam::DVec3;
 
 use super::vertices::Point;
 use crate::asset::Document;
+use crate::asset::Kind;
 use crate::asset::accessor::{RawAccessor, raw_elements, read_vec};
-use crate::asset::accessor_type::Kind;
 use crate::error::Result;
 
 /// Appends an element for each point: that of its vertex, or the weighted sum of those that it lies between, finished

@@ -8,11 +8,10 @@ use crate::asset::json::{array, array_mut, object};
 /// Declares what is used now, and no longer what refining took out. What was declared without being used stays so.
 pub(super) fn declare(before: &Value, after: &mut Value) {
     for name in extensions::all().filter(|e| e.written).map(|e| e.name) {
-        let (old, new) = (is_used(before, name), is_used(after, name));
-        if old && !new {
-            for key in ["extensionsUsed", "extensionsRequired"] {
-                remove(after, key, name);
-            }
+        let is_used = |json: &Value| extensions::used(json).iter().any(|e| e.get(name).is_some());
+        let new = is_used(after);
+        if is_used(before) && !new {
+            extensions::undeclare(after, name);
         } else if new {
             add(after, "extensionsUsed", name);
             // Without a core source there is no texture for a reader that does not know the extension.
@@ -23,34 +22,6 @@ pub(super) fn declare(before: &Value, after: &mut Value) {
                 add(after, "extensionsRequired", name);
             }
         }
-    }
-}
-
-/// Whether an `extensions` object outside `extras` has the name.
-fn is_used(json: &Value, name: &str) -> bool {
-    let mut stack = vec![json];
-    while let Some(value) = stack.pop() {
-        match value {
-            Value::Array(items) => stack.extend(items),
-            Value::Object(map) => {
-                if object(value, "extensions").is_some_and(|e| e.contains_key(name)) {
-                    return true;
-                }
-                stack.extend(map.iter().filter(|(key, _)| *key != "extras").map(|(_, child)| child));
-            }
-            _ => {}
-        }
-    }
-    false
-}
-
-fn remove(json: &mut Value, key: &str, name: &str) {
-    let Some(names) = json.get_mut(key).and_then(Value::as_array_mut) else { return };
-    names.retain(|n| n.as_str() != Some(name));
-    if names.is_empty()
-        && let Some(root) = json.as_object_mut()
-    {
-        root.shift_remove(key);
     }
 }
 

@@ -5,65 +5,52 @@ use std::collections::BTreeMap;
 use serde_json::{Map, Value};
 
 use super::vertices::Point;
-use crate::asset::Document;
 use crate::asset::accessor::{RawAccessor, raw_elements, read_vec};
-use crate::asset::accessor_type::ComponentType;
+use crate::asset::{ComponentType, Document, Kind};
 use crate::error::{Failure, Result};
 
 /// One pair JOINTS_n, WEIGHTS_n, with the component type of the joints.
 type Pair = (Vec<[u32; 4]>, ComponentType, Vec<[f32; 4]>);
 
-/// JOINTS_n and WEIGHTS_n for all vertices of a pool: influences of the same joint are merged, the strongest kept (as
-/// many as the primitive has room for: four a set), and weights made to sum to one.
-#[derive(Default)]
-pub(super) struct Influences {
-    ready: BTreeMap<String, RawAccessor>,
-}
-
-impl Influences {
-    /// Merges the influences at `points`; nothing where the primitive is not skinned.
-    ///
-    /// # Errors
-    /// `invalid_model` for joints that are no unsigned integers, and those of the accessors.
-    pub(super) fn read(
-        attributes: &Map<String, Value>,
-        points: &[Point],
-        checked: impl Fn(&str, &Value) -> Result<usize>,
-        doc: &Document,
-    ) -> Result<Self> {
-        let mut sets: Vec<Pair> = Vec::new();
-        let mut names = Vec::new();
-        loop {
-            let pair = [format!("JOINTS_{}", sets.len()), format!("WEIGHTS_{}", sets.len())];
-            let (Some(j), Some(w)) = (attributes.get(&pair[0]), attributes.get(&pair[1])) else { break };
-            let (j, w) = (checked(&pair[0], j)?, checked(&pair[1], w)?);
-            let raw = raw_elements(doc, j)?;
-            let joints = joints(&raw).ok_or_else(|| {
-                Failure::model("joints are a VEC4 of 8 or 16 bit unsigned integers").at(format!("/accessors/{j}"))
-            })?;
-            sets.push((joints, raw.component_type, read_vec::<4>(doc, w)?));
-            names.push(pair);
-        }
-        for point in points {
-            let merged = merge(&sets, point);
-            for (s, (joints, _, weights)) in sets.iter_mut().enumerate() {
-                let at = |k: usize| merged.get(4 * s + k).copied().unwrap_or_default();
-                joints.push(std::array::from_fn(|k| at(k).0));
-                weights.push(std::array::from_fn(|k| at(k).1));
-            }
-        }
-        let mut ready = BTreeMap::new();
-        for ([j, w], (joints, component, weights)) in names.into_iter().zip(sets) {
-            ready.insert(j, packed(&joints, component));
-            ready.insert(w, RawAccessor::from_floats(&weights));
-        }
-        Ok(Influences { ready })
+/// JOINTS_n and WEIGHTS_n for all vertices of a pool, by name; nothing where the primitive is not skinned. Influences of the
+/// same joint are merged at `points`, the strongest kept (as many as the primitive has room for: four a set), and weights
+/// made to sum to one.
+///
+/// # Errors
+/// `invalid_model` for joints that are no unsigned integers, and those of the accessors.
+pub(super) fn influences(
+    attributes: &Map<String, Value>,
+    points: &[Point],
+    checked: impl Fn(&str, &Value) -> Result<usize>,
+    doc: &Document,
+) -> Result<BTreeMap<String, RawAccessor>> {
+    let mut sets: Vec<Pair> = Vec::new();
+    let mut names = Vec::new();
+    loop {
+        let pair = [format!("JOINTS_{}", sets.len()), format!("WEIGHTS_{}", sets.len())];
+        let (Some(j), Some(w)) = (attributes.get(&pair[0]), attributes.get(&pair[1])) else { break };
+        let (j, w) = (checked(&pair[0], j)?, checked(&pair[1], w)?);
+        let raw = raw_elements(doc, j)?;
+        let joints = joints(&raw).ok_or_else(|| {
+            Failure::model("joints are a VEC4 of 8 or 16 bit unsigned integers").at(format!("/accessors/{j}"))
+        })?;
+        sets.push((joints, raw.component_type, read_vec::<4>(doc, w)?));
+        names.push(pair);
     }
-
-    /// The finished attribute of that name, once.
-    pub(super) fn take(&mut self, name: &str) -> Option<RawAccessor> {
-        self.ready.remove(name)
+    for point in points {
+        let merged = merge(&sets, point);
+        for (s, (joints, _, weights)) in sets.iter_mut().enumerate() {
+            let at = |k: usize| merged.get(4 * s + k).copied().unwrap_or_default();
+            joints.push(std::array::from_fn(|k| at(k).0));
+            weights.push(std::array::from_fn(|k| at(k).1));
+        }
     }
+    let mut ready = BTreeMap::new();
+    for ([j, w], (joints, component, weights)) in names.into_iter().zip(sets) {
+        ready.insert(j, RawAccessor::from_unsigned(component, Kind::Vec4, joints.as_flattened()));
+        ready.insert(w, RawAccessor::from_floats(&weights));
+    }
+    Ok(ready)
 }
 
 /// The influences at a point, strongest first, cut to the room there is.
@@ -93,31 +80,7 @@ fn merge(sets: &[Pair], point: &Point) -> Vec<(u32, f32)> {
 }
 
 fn joints(raw: &RawAccessor) -> Option<Vec<[u32; 4]>> {
-    if raw.kind.components() != 4 {
-        return None;
-    }
-    match raw.component_type {
-        ComponentType::U8 => Some(raw.data.as_chunks::<4>().0.iter().map(|e| e.map(u32::from)).collect()),
-        ComponentType::U16 => {
-            let all = raw.data.as_chunks::<2>().0.iter().map(|b| u32::from(u16::from_le_bytes(*b)));
-            Some(all.collect::<Vec<_>>().as_chunks::<4>().0.to_vec())
-        }
-        _ => None,
-    }
-}
-
-fn packed(joints: &[[u32; 4]], component_type: ComponentType) -> RawAccessor {
-    // Every joint comes from an accessor of this type.
-    let data: Vec<u8> = match component_type {
-        ComponentType::U8 => joints.iter().flatten().map(|j| *j as u8).collect(),
-        _ => joints.iter().flatten().flat_map(|j| (*j as u16).to_le_bytes()).collect(),
-    };
-    RawAccessor {
-        component_type,
-        kind: crate::asset::accessor_type::Kind::Vec4,
-        normalized: false,
-        element_size: 4 * component_type.size(),
-        count: joints.len(),
-        data,
-    }
+    let narrow = matches!(raw.component_type, ComponentType::U8 | ComponentType::U16);
+    let all = raw.unsigned().filter(|_| narrow && raw.kind.multiplicity() == 4)?;
+    Some(all.as_chunks().0.to_vec())
 }

@@ -6,7 +6,9 @@ use serde_json::{Value, json};
 use super::*;
 use crate::asset::ReadOptions;
 use crate::asset::fixture::{attribute, bowtie, document, mesh, png, primitive};
-use crate::asset::{File, Limits, load, raw_elements, read, read_indices, read_vec2, read_vec3, read_vec4};
+use crate::asset::{
+    ComponentType, File, Kind, Limits, load, raw_elements, read, read_indices, read_vec2, read_vec3, read_vec4,
+};
 use crate::atlas::{Charts, FaceId, Move, Provenance, Topology, UvId, VertexId};
 
 fn sets_of(doc: &Document) -> Vec<TextureSet> {
@@ -292,26 +294,22 @@ fn split_edges_leave_no_crack_between_primitives() {
         let n = attribute(doc, &[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
         let t = attribute(doc, &[[u, 0.1], [u + 0.2, 0.1], [u, 0.9]]);
         let c = doc.append_accessor(
-            &RawAccessor {
-                component_type: crate::asset::ComponentType::U8,
-                kind: crate::asset::Kind::Vec4,
-                normalized: true,
-                element_size: 4,
-                count: 3,
-                data: vec![255, 0, 0, 255, 0, 255, 0, 255, 0, 0, 255, 255],
-            },
+            &RawAccessor::new(
+                ComponentType::U8,
+                Kind::Vec4,
+                true,
+                vec![255, 0, 0, 255, 0, 255, 0, 255, 0, 0, 255, 255],
+            ),
             Some(34962),
             false,
         );
         let j = doc.append_accessor(
-            &RawAccessor {
-                component_type: crate::asset::ComponentType::U8,
-                kind: crate::asset::Kind::Vec4,
-                normalized: false,
-                element_size: 4,
-                count: 3,
-                data: joints.into_iter().flat_map(|j| [j, j + 1, j + 2, 0]).collect(),
-            },
+            &RawAccessor::new(
+                ComponentType::U8,
+                Kind::Vec4,
+                false,
+                joints.into_iter().flat_map(|j| [j, j + 1, j + 2, 0]).collect(),
+            ),
             Some(34962),
             false,
         );

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::{Map, Value, json};
 
 use super::{BakedImage, Refined};
-use crate::asset::extensions::{TEXTURE_TRANSFORM, TEXTURE_WEBP, is_image_source};
+use crate::asset::extensions::{self, TEXTURE_TRANSFORM, TEXTURE_WEBP, is_image_source};
 use crate::asset::json::object_mut;
 use crate::asset::material_index::{MaterialIndex, TextureUse};
 use crate::asset::sets::class;
@@ -295,12 +295,7 @@ fn place(out: &mut Document, index: usize, baked: &BakedImage, in_place: bool) -
 
 /// Gives a texture its image: as its core source, or where the format needs it by extension.
 fn set_source(texture: &mut Map<String, Value>, image: usize, format: Option<Format>) {
-    if let Some(extensions) = texture.get_mut("extensions").and_then(Value::as_object_mut) {
-        extensions.retain(|name, _| !is_image_source(name));
-        if extensions.is_empty() {
-            texture.shift_remove("extensions");
-        }
-    }
+    extensions::retain(texture, |name| !is_image_source(name));
     if format.is_some_and(Format::needs_extension) {
         texture.shift_remove("source");
         let extensions = texture.entry("extensions").or_insert_with(|| json!({}));
@@ -330,12 +325,7 @@ fn edit(json: &mut Value, pointer: &str, edits: &[Edit<'_>]) -> Result<()> {
         if info.get("texCoord").and_then(Value::as_u64).unwrap_or(0) != *uv_set as u64 {
             info.insert("texCoord".to_owned(), Value::from(*uv_set));
         }
-        if let Some(extensions) = info.get_mut("extensions").and_then(Value::as_object_mut) {
-            extensions.shift_remove(TEXTURE_TRANSFORM);
-            if extensions.is_empty() {
-                info.shift_remove("extensions");
-            }
-        }
+        extensions::retain(info, |name| name != TEXTURE_TRANSFORM);
     }
     Ok(())
 }

@@ -9,8 +9,11 @@ mod indices;
 
 use std::fmt::Display;
 
+use serde::Deserialize;
+
 /// Bitstream of a buffer view.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
 pub(super) enum Mode {
     /// Elements of a few bytes, as differences byte by byte.
     Attributes,
@@ -21,9 +24,11 @@ pub(super) enum Mode {
 }
 
 /// What is done to the elements after decoding.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
 pub(super) enum Filter {
     /// Nothing.
+    #[default]
     None,
     /// Unit vectors from octahedral coordinates.
     Octahedral,
@@ -36,15 +41,17 @@ pub(super) enum Filter {
 }
 
 /// What the extension says of the elements of a buffer view.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 pub(super) struct StreamLayout {
     /// Bitstream.
     pub(super) mode: Mode,
     /// What follows.
+    #[serde(default)]
     pub(super) filter: Filter,
     /// Number of elements.
     pub(super) count: usize,
     /// Bytes of one element.
+    #[serde(rename = "byteStride")]
     pub(super) stride: usize,
 }
 
