@@ -8,7 +8,7 @@ use super::uri::{file_name, normalise, quote};
 use crate::error::{Code, Failure, Result};
 
 /// Most entries that an archive may have.
-const MAX_ENTRIES: usize = 10_000;
+pub const MAX_ENTRIES: usize = 10_000;
 
 /// Whether the bytes begin as a zip archive does.
 pub(crate) fn is_zip(bytes: &[u8]) -> bool {

@@ -36,10 +36,11 @@ pub(crate) enum Container {
 /// `invalid_model` with a pointer for a broken container, JSON, buffer view, accessor or compressed stream;
 /// `unsupported_extension`; `missing_file` for buffers; `too_large` beyond `limits`.
 pub fn load(files: &[File], main: Option<&str>, limits: &Limits) -> Result<(Document, Vec<Warning>)> {
-    load_while(files, main, limits, &|| Ok(()))
+    load_while(files, main, limits, &|| Ok(())).map(|(document, warnings, _)| (document, warnings))
 }
 
-/// [`load`], for as long as `check` is content: it is asked every now and then while compressed geometry is decoded.
+/// [`load`], for as long as `check` is content: it is asked every now and then while compressed geometry is decoded. Beside document and
+/// warnings it gives the paths of those `files` that the model does not name.
 ///
 /// # Errors
 /// As [`load`], and what `check` says.
@@ -48,7 +49,7 @@ pub fn load_while(
     main: Option<&str>,
     limits: &Limits,
     check: &dyn Fn() -> Result<()>,
-) -> Result<(Document, Vec<Warning>)> {
+) -> Result<(Document, Vec<Warning>, Vec<String>)> {
     let upload = unpack(files, limits)?;
     // An archive that is named stands for the model inside it.
     let main = main.filter(|m| !files.iter().any(|f| f.path == **m && archive::is_zip(&f.bytes)));
@@ -72,7 +73,9 @@ pub fn load_while(
             resolve(json, chunks.bin, entry, &upload, limits, &mut warnings, check)?
         }
     };
-    Ok((document, warnings))
+    let plain = files.iter().filter(|f| !archive::is_zip(&f.bytes)).count();
+    let unused = upload.unused(plain).into_iter().filter(|path| *path != entry.path).collect();
+    Ok((document, warnings, unused))
 }
 
 /// A file of an upload, by its path or, where only one has it, its name; files in archives are found too.
@@ -121,7 +124,10 @@ fn find_model<'u, 'a>(upload: &'u Upload<'a>, main: Option<&str>) -> Result<(&'u
         (Some(first), Some(second)) => {
             let names: Vec<String> =
                 [first, second].into_iter().chain(found.take(3)).map(|(e, _)| quote(&e.path)).collect();
-            Err(Failure::model(format!("there are several models ({}): name the one to take", names.join(", "))))
+            Err(Failure::model(format!(
+                "there are several models ({}): name the one to take, by its path, as the option `model`",
+                names.join(", ")
+            )))
         }
         (None, _) => Err(match upload.entries() {
             [] => Failure::model("there is no file in the input"),

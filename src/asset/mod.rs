@@ -46,7 +46,7 @@ pub use accessor::{
 };
 pub use accessor_layout::{AccessorLayout, kind_name};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
-pub(crate) use archive::check_entries;
+pub(crate) use archive::{MAX_ENTRIES, check_entries};
 pub use document::{Document, File, Merging};
 pub use estimate::{Estimate, estimate};
 pub use gltf::json::accessor::{ComponentType, Type as Kind};

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::uri::{file_name, normalise};
 
@@ -18,6 +19,8 @@ pub(crate) struct UploadEntry<'a> {
 #[derive(Debug, Default)]
 pub(crate) struct Upload<'a> {
     entries: Vec<UploadEntry<'a>>,
+    /// Those that were found by a name, or named as the model.
+    found: Vec<AtomicBool>,
     by_path: BTreeMap<String, usize>,
     /// By file name in lower case; none where several files share it.
     by_name: BTreeMap<String, Option<usize>>,
@@ -26,7 +29,8 @@ pub(crate) struct Upload<'a> {
 impl<'a> Upload<'a> {
     /// The files; of several with one path, the first counts.
     pub(crate) fn new(entries: Vec<UploadEntry<'a>>) -> Self {
-        let mut upload = Upload { entries, ..Upload::default() };
+        let found = entries.iter().map(|_| AtomicBool::new(false)).collect();
+        let mut upload = Upload { entries, found, ..Upload::default() };
         for (index, entry) in upload.entries.iter().enumerate() {
             if upload.by_path.contains_key(&entry.path) {
                 continue;
@@ -46,7 +50,15 @@ impl<'a> Upload<'a> {
     /// The file at a path; else, as browsers and archives lose folders and some file systems case, the only
     /// one of that name.
     pub(crate) fn find(&self, path: &str) -> Option<&UploadEntry<'a>> {
-        self.entries.get(self.position(path)?)
+        let index = self.position(path)?;
+        self.found.get(index)?.store(true, Ordering::Relaxed);
+        self.entries.get(index)
+    }
+
+    /// Paths of those among the first `count` files that nobody has found.
+    pub(crate) fn unused(&self, count: usize) -> Vec<String> {
+        let all = self.entries.iter().zip(&self.found).take(count);
+        all.filter(|(_, found)| !found.load(Ordering::Relaxed)).map(|(entry, _)| entry.path.clone()).collect()
     }
 
     /// The index of what [`Upload::find`] finds.

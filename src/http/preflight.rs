@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use serde::de::IgnoredAny;
+use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use crate::asset::check_entries;
 use crate::error::{Code, Failure, Result};
@@ -90,12 +90,66 @@ fn json(file: &mut File, length: u64, max_json: u64) -> Result<()> {
     if reader.fill_buf().is_ok_and(|head| head.starts_with(b"\xef\xbb\xbf")) {
         reader.consume(3);
     }
-    let mut stream = serde_json::Deserializer::from_reader(&mut reader).into_iter::<IgnoredAny>();
+    let mut stream = serde_json::Deserializer::from_reader(&mut reader).into_iter::<Walked>();
     stream.next().transpose().map_err(|e| broken(&e))?.ok_or_else(|| broken(&"there is nothing"))?;
     drop(stream);
     // Some writers pad with zeros instead of blanks.
     let rest = reader.bytes().find(|b| b.as_ref().map_or(true, |b| *b != 0 && !b.is_ascii_whitespace()));
     rest.map_or(Ok(()), |_| Err(broken(&"something follows the JSON object")))
+}
+
+/// Levels of a JSON document, as `serde_json` reads it.
+pub(super) const MAX_JSON_NESTING: u32 = 127;
+
+/// A JSON value of which nothing is kept, read level by level: that a document is nested too deeply shows as it will show in the job.
+struct Walked;
+
+impl<'de> Deserialize<'de> for Walked {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        deserializer.deserialize_any(Walked)
+    }
+}
+
+impl<'de> Visitor<'de> for Walked {
+    type Value = Walked;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("any JSON value")
+    }
+
+    fn visit_bool<E>(self, _: bool) -> std::result::Result<Walked, E> {
+        Ok(Walked)
+    }
+
+    fn visit_i64<E>(self, _: i64) -> std::result::Result<Walked, E> {
+        Ok(Walked)
+    }
+
+    fn visit_u64<E>(self, _: u64) -> std::result::Result<Walked, E> {
+        Ok(Walked)
+    }
+
+    fn visit_f64<E>(self, _: f64) -> std::result::Result<Walked, E> {
+        Ok(Walked)
+    }
+
+    fn visit_str<E>(self, _: &str) -> std::result::Result<Walked, E> {
+        Ok(Walked)
+    }
+
+    fn visit_unit<E>(self) -> std::result::Result<Walked, E> {
+        Ok(Walked)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> std::result::Result<Walked, A::Error> {
+        while list.next_element::<Walked>()?.is_some() {}
+        Ok(Walked)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut object: A) -> std::result::Result<Walked, A::Error> {
+        while object.next_entry::<IgnoredAny, Walked>()?.is_some() {}
+        Ok(Walked)
+    }
 }
 
 /// An archive whose directory can be read and names a model.
@@ -156,6 +210,12 @@ mod tests {
             (&chunk, "m.glb", Code::InvalidModel, "more than there are"),
             (&glb_of(b"{\"asset\":"), "m.glb", Code::InvalidModel, "JSON is broken"),
             (&glb_of(b"{} {}"), "m.glb", Code::InvalidModel, "JSON is broken"),
+            (
+                &glb_of(format!("{{\"a\":{}{}}}", "[".repeat(200), "]".repeat(200)).as_bytes()),
+                "m.glb",
+                Code::InvalidModel,
+                "recursion limit",
+            ),
             (b"{\"a\": 1", "m.gltf", Code::InvalidModel, "JSON is broken"),
             (b"hello", "m.gltf", Code::InvalidModel, "not a JSON object"),
             (b"hello", "m.glb", Code::InvalidModel, "magic"),

@@ -8,6 +8,7 @@ use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::App;
+use crate::asset::MAX_ENTRIES;
 use crate::refine::erased::{ErasedStage, NamedSchemas};
 use crate::refine::options::{Options, OptionsSchema};
 use crate::refine::parse::MAX_METADATA_BYTES;
@@ -96,6 +97,10 @@ pub(super) struct LimitList {
     max_triangles: u64,
     /// Bytes of a model's JSON.
     max_json_bytes: u64,
+    /// Levels of a model's JSON.
+    max_json_nesting: u32,
+    /// Entries of an archive.
+    max_archive_entries: u64,
     /// Bytes of a submission's `options`.
     max_options_bytes: u64,
     /// Bytes of `metadata`.
@@ -135,6 +140,8 @@ pub(super) async fn limits(State(app): State<App>) -> Json<LimitList> {
         max_image_pixels: l.max_image_pixels,
         max_triangles: l.max_triangles,
         max_json_bytes: l.max_json,
+        max_json_nesting: super::preflight::MAX_JSON_NESTING,
+        max_archive_entries: MAX_ENTRIES as u64,
         max_options_bytes: super::upload::MAX_OPTIONS_BYTES as u64,
         max_metadata_bytes: MAX_METADATA_BYTES as u64,
         max_stages: MAX_STAGES as u64,

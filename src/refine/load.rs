@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::group::{Group, can_join};
 use super::importance::{Importance, Subject, importances};
-use super::options::Options;
+use super::options::{ImportanceSource, Options};
 use super::refinement::Refinement;
 use super::run::Input;
 use super::textures::exempt_uniform;
@@ -61,6 +61,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     let count = input.models.len();
     let mut loaded = Loaded { models: Vec::new(), groups: Vec::new(), bytes: total_bytes(&input.models) };
     let mut sets: Vec<(usize, TextureSet)> = Vec::new();
+    let mut unused: Option<BTreeSet<String>> = None;
     for (index, files) in input.models.iter().enumerate() {
         let label = (count > 1).then(|| label(&input.models, index));
         context.speak_of(label.as_deref());
@@ -70,13 +71,23 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
             }
             failure
         });
-        let (doc, indexed, merge, own) = own?;
+        let (doc, indexed, merge, own, left) = own?;
+        let left: BTreeSet<String> = left.into_iter().collect();
+        unused = Some(unused.map_or(left.clone(), |before| &before & &left));
         sets.extend(own.into_iter().map(|set| (index, set)));
         let bytes = files.iter().map(|f| f.bytes.len() as u64).sum();
         loaded.models.push(Model { doc, index: indexed, merge, bytes, label });
         context.step(0.9 * (index + 1) as f64 / count as f64, "reading models")?;
     }
     context.speak_of(None);
+    let weights = match &options.importance {
+        Some(ImportanceSource::Texture(name)) => Some(name),
+        _ => None,
+    };
+    for path in unused.iter().flatten().filter(|path| Some(*path) != weights) {
+        let text = format!("the file `{path}` was uploaded, and no model names it: it is not used");
+        context.warn(Warning::new("unused_file", text));
+    }
     // Surfaces without a layout are numbered after all others.
     sets.sort_by_key(|(_, set)| !set.atlas.has_layout());
     let mapped = sets.iter().filter(|(_, set)| set.atlas.has_layout()).count();
@@ -151,10 +162,17 @@ fn read(
     options: &Options,
     merging: bool,
     context: &Context,
-) -> Result<(Document, MaterialIndex, Option<Merge>, Vec<TextureSet>)> {
+) -> Result<(Document, MaterialIndex, Option<Merge>, Vec<TextureSet>, Vec<String>)> {
     // Files that come with several models may be models themselves: the first is this one.
-    let main = files.first().filter(|_| count > 1).map(|f| f.path.as_str());
-    let (mut doc, warnings) = asset::load_while(files, main, &input.limits, &|| context.check())?;
+    let main = match &options.model {
+        Some(path) if count == 1 => Some(path.as_str()),
+        Some(_) => {
+            let message = "`model` names one model of an archive, and several models were given";
+            return Err(Failure::new(Code::InvalidOptions, message).at("/model"));
+        }
+        None => files.first().filter(|_| count > 1).map(|f| f.path.as_str()),
+    };
+    let (mut doc, warnings, unused) = asset::load_while(files, main, &input.limits, &|| context.check())?;
     for warning in warnings {
         context.warn(warning);
     }
@@ -171,7 +189,7 @@ fn read(
     for set in &mut sets {
         exempt_uniform(&doc, set, input.limits.max_image_pixels, context)?;
     }
-    Ok((doc, index, merge, sets))
+    Ok((doc, index, merge, sets, unused))
 }
 
 /// Files that several models come with count once.

@@ -45,6 +45,8 @@ pub struct Options {
     pub output: Output,
     /// Requirements on the report: a dotted path to its bounds.
     pub require: BTreeMap<String, Requirement>,
+    /// Path of the model to take, where an archive holds several; null takes the only one.
+    pub model: Option<String>,
     /// Seed of every random choice.
     pub seed: u64,
     /// Limit on the work of searches, in units of work (reproducible); null is the stages' own.
@@ -69,6 +71,7 @@ impl Default for Options {
             fabrication: None,
             output: Output::Glb,
             require: BTreeMap::new(),
+            model: None,
             seed: 0,
             work_budget: None,
             time_limit_s: None,

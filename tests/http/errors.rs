@@ -82,6 +82,59 @@ fn what_the_query_says_beside_a_form_is_honoured_or_refused() {
     assert!(problem["detail"].as_str().unwrap().contains("`seed` stands twice"), "{problem:#}");
 }
 
+/// An archive of files.
+fn zip(files: &[(&str, &[u8])]) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, bytes) in files {
+        zip.start_file(*name, zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(bytes).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+#[test]
+fn of_an_archive_with_several_models_one_can_be_taken() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let both = zip(&[("a/one.glb", sample()), ("b/two.glb", sample())]);
+    let form = |options: &str| Form::default().file("model", "m.zip", &both).text("options", options);
+    let job = server.wait(&server.accepted(&form("{}")));
+    let message = job["error"]["message"].as_str().unwrap();
+    assert!(message.contains("a/one.glb") && message.contains("`model`"), "{message}");
+    assert_eq!(server.wait(&server.accepted(&form(r#"{"model": "b/two.glb"}"#)))["state"], "succeeded");
+    let job = server.wait(&server.accepted(&form(r#"{"model": "c.glb"}"#)));
+    assert_eq!(job["error"]["code"], "missing_file", "{job:#}");
+}
+
+#[test]
+fn files_that_no_model_names_are_named() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let job = server.wait(&server.accepted(&Form::sample().file("files", "textures/a.png", b"x")));
+    let warning = job["warnings"].as_array().unwrap().iter().find(|w| w["code"] == "unused_file").unwrap();
+    assert!(warning["message"].as_str().unwrap().contains("textures/a.png"), "{warning}");
+}
+
+#[test]
+fn what_headers_show_is_refused_at_once() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &["--max-image-pixels", "1000", "--max-triangles", "1000000"]);
+    let limits = json(&mut server.get("/v1/limits", &[]));
+    let large = problem(server.submit(&Form::sample()));
+    assert_eq!((&large["status"], &limits["max_image_pixels"]), (&json!(413), &json!(1000)));
+    assert!(large["detail"].as_str().unwrap().contains("the limit is 1000"), "{large:#}");
+    let levels = limits["max_json_nesting"].as_u64().unwrap() as usize;
+    let nested = |depth: usize| glb(&format!("{{\"asset\": {}{}}}", "[".repeat(depth - 1), "]".repeat(depth - 1)));
+    assert_eq!(server.submit(&Form::default().file("model", "m.glb", &nested(levels))).status(), 202);
+    let deep = problem(server.submit(&Form::default().file("model", "m.glb", &nested(levels + 1))));
+    assert_eq!(deep["status"], 400, "{deep:#}");
+    let most = limits["max_archive_entries"].as_u64().unwrap() as usize;
+    let names: Vec<String> = (0..=most).map(|n| format!("{n}.obj")).collect();
+    let files: Vec<(&str, &[u8])> = names.iter().map(|n| (n.as_str(), &b""[..])).collect();
+    let full = problem(server.submit(&Form::default().file("model", "m.zip", &zip(&files))));
+    assert_eq!((&full["status"], &full["code"]), (&json!(413), &json!("too_large")));
+}
+
 #[test]
 fn strangers_pages_and_names_are_refused() {
     let data = tempfile::tempdir().unwrap();
@@ -186,12 +239,7 @@ fn limits_hold() {
     assert_eq!(problem(server.submit(&many))["code"], "too_large");
     assert_eq!(server.submit(&small()).status(), 202);
     // An archive counts by what is in it.
-    let bomb = || {
-        let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
-        zip.start_file("m.obj", zip::write::SimpleFileOptions::default()).unwrap();
-        zip.write_all(&vec![b'#'; 70_000]).unwrap();
-        zip.finish().unwrap().into_inner()
-    };
+    let bomb = || zip(&[("m.obj", &[b'#'; 70_000])]);
     assert!(bomb().len() < 1000);
     let large = problem(server.submit(&Form::default().file("model", "m.zip", &bomb())));
     assert_eq!((&large["status"], &large["code"]), (&json!(413), &json!("too_large")));

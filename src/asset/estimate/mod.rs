@@ -33,7 +33,7 @@ pub struct Estimate {
 /// cannot be read counts by its length, and the job itself will tell why.
 ///
 /// # Errors
-/// `too_large` when archives unpack to more than `max_input_bytes`.
+/// `too_large` when archives unpack to more than `max_input_bytes`, and for images and triangles beyond `limits`.
 pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) -> Result<Estimate> {
     let mut sum = Sum::default();
     let mut all = Files::new(std::iter::once(model).chain(files.iter().copied()), limits)?;
@@ -58,5 +58,6 @@ pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) 
             Container::Glb | Container::Gltf => document::add(&mut all, index, container, limits, &mut sum),
         }
     }
+    sum.check(limits)?;
     Ok(sum.estimate(limits))
 }

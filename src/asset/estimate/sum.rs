@@ -9,6 +9,7 @@ use std::num::Saturating;
 
 use super::super::limits::Limits;
 use super::Estimate;
+use crate::error::{Code, Failure, Result};
 use crate::texture::Header;
 
 /// What the process takes before it reads anything, and what pictures and searches of the smallest models take.
@@ -41,17 +42,39 @@ pub(super) struct Sum {
     samples: Saturating<u64>,
     largest_texels: u64,
     largest_samples: u64,
+    largest_declared: u64,
 }
 
 impl Sum {
     /// An image, which is not decoded beyond the limit.
     pub(super) fn image(&mut self, header: Header, limits: &Limits) {
-        let texels = (u64::from(header.width) * u64::from(header.height)).min(limits.max_image_pixels);
+        let declared = u64::from(header.width) * u64::from(header.height);
+        self.largest_declared = self.largest_declared.max(declared);
+        let texels = declared.min(limits.max_image_pixels);
         let samples = texels.saturating_mul(u64::from(header.channels) * u64::from(header.depth / 8));
         self.texels += texels;
         self.samples += samples;
         self.largest_texels = self.largest_texels.max(texels);
         self.largest_samples = self.largest_samples.max(samples);
+    }
+
+    /// Refuses what the job would refuse.
+    ///
+    /// # Errors
+    /// `too_large`.
+    pub(super) fn check(&self, limits: &Limits) -> Result<()> {
+        let refused = |what: String| Err(Failure::new(Code::TooLarge, what));
+        if self.largest_declared > limits.max_image_pixels {
+            let (declared, most) = (self.largest_declared, limits.max_image_pixels);
+            return refused(format!("an image has {declared} pixels by its header; the limit is {most}"));
+        }
+        if self.triangles.0 > limits.max_triangles {
+            return refused(format!(
+                "the model has {} triangles; the limit is {}",
+                self.triangles.0, limits.max_triangles
+            ));
+        }
+        Ok(())
     }
 
     /// What that comes to. The loader gathers at most twice the input's limit.

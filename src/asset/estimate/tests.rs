@@ -138,18 +138,18 @@ fn images_are_found_wherever_they_are() {
 }
 
 #[test]
-fn a_header_that_lies_counts_up_to_the_limit() {
+fn a_header_beyond_the_limit_is_refused_as_the_job_would_refuse_it() {
     let mut file = png(4, 4);
     file[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
     let model = gltf(&json!([{ "uri": "a.png" }]), json!({}));
     let limits = Limits { max_image_pixels: 1_000_000, ..Limits::default() };
-    let found = of(&[("m.gltf", &model), ("a.png", &file)], &limits).unwrap();
-    assert_eq!(found.texels, 1_000_000);
-    assert!(found.bytes < 200_000_000);
+    let refused = of(&[("m.gltf", &model), ("a.png", &file)], &limits).unwrap_err();
+    assert_eq!(refused.code, crate::error::Code::TooLarge);
+    assert!(refused.message.contains("4294836225 pixels"), "{refused}");
 }
 
 #[test]
-fn triangles_are_counted_by_mode_and_up_to_the_limit() {
+fn triangles_are_counted_by_mode_and_too_many_refused() {
     let parts = json!({
         "accessors": [{ "count": 30 }, { "count": 12 }, { "count": 18446744073709551615u64 }],
         "meshes": [{ "primitives": [
@@ -163,8 +163,8 @@ fn triangles_are_counted_by_mode_and_up_to_the_limit() {
     assert_eq!(estimated(&[("m.gltf", &model)]).triangles, 4 + 28);
     let mut large = parts;
     large["meshes"][0]["primitives"][0]["indices"] = Value::from(2);
-    let found = estimated(&[("m.gltf", &gltf(&json!([]), large))]);
-    assert_eq!(found.triangles, Limits::default().max_triangles);
+    let refused = of(&[("m.gltf", &gltf(&json!([]), large))], &Limits::default()).unwrap_err();
+    assert_eq!(refused.code, crate::error::Code::TooLarge);
 }
 
 #[test]
