@@ -73,8 +73,13 @@ impl Bvh {
     }
 
     /// Calls `visit` with the position of every item from position `from` on whose box meets `query`,
-    /// in order of position, until it returns false. `enter` may refuse a node by its number.
-    pub(crate) fn query(
+    /// in order of position, until it returns false.
+    pub(crate) fn query(&self, query: &Bounds, from: usize, visit: impl FnMut(usize) -> bool) {
+        self.query_nodes(query, from, |_| true, visit);
+    }
+
+    /// [`Self::query`], where `enter` may refuse a node by its number.
+    pub(crate) fn query_nodes(
         &self,
         query: &Bounds,
         from: usize,
@@ -131,6 +136,22 @@ impl Bvh {
     /// The box of the item at a position.
     pub(crate) fn bounds_at(&self, position: usize) -> Bounds {
         self.boxes[position]
+    }
+}
+
+/// Triangles in a tree.
+#[derive(Debug)]
+pub(crate) struct TriangleTree {
+    pub tree: Bvh,
+    /// By position in the tree.
+    pub triangles: Vec<[DVec2; 3]>,
+}
+
+impl TriangleTree {
+    pub(crate) fn new(triangles: &[[DVec2; 3]]) -> Self {
+        let tree = Bvh::new(&triangles.iter().map(|t| Bounds::of(t)).collect::<Vec<_>>());
+        let triangles = tree.order.iter().map(|&i| triangles[i as usize]).collect();
+        TriangleTree { tree, triangles }
     }
 }
 

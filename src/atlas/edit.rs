@@ -2,16 +2,17 @@
 
 use glam::{DMat2, DVec2};
 
+use super::groups::sorted_unique;
 use super::{Atlas, Charts, FaceId, Provenance, Topology, UvId, VertexId};
 
-/// Where a chart goes: `uv' = linear * uv + translate` on sheet `page`.
+/// Where a chart, or a piece of several, goes: `uv' = linear * uv + translate` on sheet `page`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Move {
     /// Sheet.
     pub page: u16,
     /// Rotation, mirror and scale.
     pub linear: DMat2,
-    /// Translation in texels.
+    /// Translation in texels of the new sheet.
     pub translate: DVec2,
 }
 
@@ -61,8 +62,8 @@ impl Atlas {
     /// sources.
     pub(crate) fn subset(&self, faces: &[FaceId]) -> Atlas {
         let mut part = Atlas { sheets: self.sheets.clone(), ..Atlas::default() };
-        let uvs = sorted_ids(faces.iter().flat_map(|f| self.corners[f.index()]));
-        let vertices = sorted_ids(faces.iter().flat_map(|f| self.surface.triangles[f.index()]));
+        let uvs = sorted_unique(faces.iter().flat_map(|f| self.corners[f.index()]));
+        let vertices = sorted_unique(faces.iter().flat_map(|f| self.surface.triangles[f.index()]));
         part.uv = uvs.iter().map(|u| self.uv[u.index()]).collect();
         part.surface.positions = vertices.iter().map(|v| self.surface.positions[v.index()]).collect();
         for f in faces {
@@ -119,11 +120,4 @@ impl Atlas {
             .collect();
         self.moved(&charts, &moves, self.sheets.clone())
     }
-}
-
-fn sorted_ids<T: Ord>(ids: impl Iterator<Item = T>) -> Vec<T> {
-    let mut ids: Vec<T> = ids.collect();
-    ids.sort_unstable();
-    ids.dedup();
-    ids
 }

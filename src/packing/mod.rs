@@ -22,16 +22,20 @@ mod sheet;
 mod tests;
 mod tuning;
 
-use glam::{DMat2, DVec2};
+use glam::DVec2;
 
+use crate::atlas::Move;
 pub use fit::{Fitted, pack_into};
-pub(crate) use greedy::{PlacementRule, Plan, StripLayout, greedy};
+pub(crate) use greedy::{Plan, StripLayout, greedy};
 pub use guided::InitialLayout;
 pub(crate) use mask::Mask;
 pub(crate) use occupancy::{Pitch, Probe};
 pub use options::{Gutter, Pack, PackSearch, Rotation};
 pub use orientation::Orientation;
+pub(crate) use orientation::l1_norm;
+pub(crate) use outline::fill;
 pub(crate) use random::Random;
+pub(crate) use search::RULES;
 pub use search::pack;
 pub(crate) use shape::{Shape, Shapes};
 
@@ -148,22 +152,11 @@ impl Rounding {
     }
 }
 
-/// Where a piece went: `uv' = linear * uv + translate` on sheet `page`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Placement {
-    /// Sheet.
-    pub page: u16,
-    /// Rotation, mirror and scale.
-    pub linear: DMat2,
-    /// Translation in texels of the new sheet.
-    pub translate: DVec2,
-}
-
 /// A packing of all pieces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Packing {
     /// By piece.
-    pub placements: Vec<Placement>,
+    pub placements: Vec<Move>,
     /// Sides of each sheet in texels, margins included, rounded as asked.
     pub sheets: Vec<[f64; 2]>,
     /// Words of occupancy looked at: the unit of work.

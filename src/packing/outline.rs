@@ -86,7 +86,7 @@ impl Outline {
 }
 
 /// Sets the cells whose centres the border winds about; the border's own cells are set already.
-fn fill(border: &[[DVec2; 2]], mask: &mut Mask) {
+pub(crate) fn fill(border: &[[DVec2; 2]], mask: &mut Mask) {
     // Crossings of the centre line of each row: (row, x, direction).
     let mut crossings: Vec<(u32, f64, i32)> = Vec::new();
     for &[a, b] in border {

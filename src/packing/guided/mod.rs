@@ -33,7 +33,7 @@ use super::orientation::Orientation;
 use super::outline::Outline;
 use super::random::Random;
 use super::tuning::Tuning;
-use super::{Packing, Placement, Request};
+use super::{Move, Packing, Request};
 use crate::context::Context;
 use crate::error::Result;
 use crate::packing::Rotation;
@@ -234,7 +234,7 @@ impl GuidedSearch<'_> {
     fn packing(&self, best: &FeasibleLayout, level: &Level<'_>, work: u64) -> Packing {
         let place = |p: &PlacedItem| {
             let corner = p.corner() * level.instances.grid.cell + DVec2::splat(self.request.spacing.margin);
-            Placement { page: 0, linear: p.item.linear, translate: corner - p.item.anchor }
+            Move { page: 0, linear: p.item.linear, translate: corner - p.item.anchor }
         };
         let placements = best.placed.iter().map(place).collect();
         Packing { placements, sheets: vec![level.objective.sheet(best.width, best.height)], work }

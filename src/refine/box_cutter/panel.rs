@@ -7,8 +7,7 @@ use glam::{DMat2, DVec2};
 use super::edges::Patch;
 use super::outline::{Line, Outline};
 use super::void::{VoidBox, void_boxes};
-use crate::packing::Rotation;
-use crate::packing::{Mask, Orientation, Pitch, Probe, Shape};
+use crate::packing::{Mask, Orientation, Pitch, Probe, Rotation, Shape, fill, l1_norm};
 
 /// How panels are rasterised during the search.
 #[derive(Debug, Clone, Copy)]
@@ -189,39 +188,14 @@ pub(crate) fn rasterise(
     let size = (high + DVec2::splat(grow + 2e-3) - anchor).ceil().max(DVec2::ONE);
     let (width, height) = (size.x as usize, size.y as usize);
     let mut mask = Mask::new(width, height);
-    let mut rows: Vec<Vec<f64>> = vec![Vec::new(); height];
-    for l in &turned {
-        for i in 0..l.len() {
-            let (a, b) = (l[i] - anchor, l[(i + 1) % l.len()] - anchor);
-            let (top, bottom) = if a.y < b.y { (a, b) } else { (b, a) };
-            // Rows whose middle the edge crosses.
-            let first = (top.y - 0.5).ceil().max(0.0) as usize;
-            let slope = (bottom.x - top.x) / (bottom.y - top.y);
-            for (row, xs) in rows.iter_mut().enumerate().skip(first) {
-                let y = row as f64 + 0.5;
-                if y >= bottom.y {
-                    break;
-                }
-                xs.push(top.x + slope * (y - top.y));
-            }
-            border(&mut mask, a, b, grow);
-        }
-    }
+    let edge = |l: &Vec<DVec2>, i: usize| [l[i] - anchor, l[(i + 1) % l.len()] - anchor];
+    let edges: Vec<[DVec2; 2]> = turned.iter().flat_map(|l| (0..l.len()).map(|i| edge(l, i))).collect();
+    edges.iter().for_each(|[a, b]| border(&mut mask, *a, *b, grow));
     for t in inner() {
         mask.add_triangle(&t.map(|p| p - anchor));
     }
-    if triangles.is_some() {
-        return (mask, anchor * cell);
-    }
-    for (row, xs) in rows.iter_mut().enumerate() {
-        xs.sort_by(f64::total_cmp);
-        for pair in xs.chunks_exact(2) {
-            let first = (pair[0] - 0.5).ceil().max(0.0) as usize;
-            let last = (pair[1] - 0.5).floor();
-            if last >= first as f64 {
-                mask.set_run(row, first, (last as usize).min(width - 1));
-            }
-        }
+    if triangles.is_none() {
+        fill(&edges, &mut mask);
     }
     (mask, anchor * cell)
 }
@@ -272,10 +246,7 @@ fn best_axes(outline: &Outline) -> f64 {
     let rough = |t: usize| weight.iter().zip(&norms[t..]).map(|(w, n)| w * n).sum::<f64>();
     let costs: Vec<f64> = (0..BINS).map(rough).collect();
     let best = (0..BINS).min_by(|&a, &b| costs[a].total_cmp(&costs[b])).unwrap_or(0) as f64;
-    let exact = |t: f64| {
-        let (sin, cos) = t.sin_cos();
-        edges.iter().map(|d| (d.x * cos - d.y * sin).abs() + (d.x * sin + d.y * cos).abs()).sum::<f64>()
-    };
+    let exact = |t: f64| l1_norm(&edges, t);
     let near = (-4..=4).map(|k| step * (best + f64::from(k) / 4.0));
     let found = near.map(|t| (exact(t), t)).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0));
     // What is upright stays exactly so.

@@ -144,7 +144,7 @@ pub(crate) fn layout(
         let (_, _, panel) = free.swap_remove(place);
         let spot = state.arrangement.layout.spots[panel]?;
         let orientation = state.panels[panel].orientations(raster)[spot.orientation as usize];
-        let corner = DVec2::new(f64::from(spot.x), f64::from(spot.y)) * raster.cell + DVec2::splat(raster.inflate);
+        let corner = spot.corner() * raster.cell + DVec2::splat(raster.inflate);
         places.push((orientation, corner));
     }
     let layout = &state.arrangement.layout;

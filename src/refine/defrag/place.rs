@@ -9,7 +9,7 @@ use super::mesh::{MergeChart, MergeMesh, area, mirror};
 use super::sheet_limit::SheetLimit;
 use crate::atlas::Atlas;
 use crate::atlas::bvh::Bounds;
-use crate::atlas::rigid::Rigid;
+use crate::atlas::rigid::{Rigid, back, nearest_quarter_turn, on_multiples};
 use crate::refine::stage::SheetInfo;
 
 /// How far corners may lie from whole texels to be put there: resampling counts less than this as none.
@@ -61,7 +61,7 @@ pub(super) fn place(
         preserved += part.area;
         mirrored[c] = part.mirrored;
         free[c] = false;
-        motion[c] = part.motion.inverse();
+        motion[c] = back(&part.motion);
         part.faces.iter().for_each(|&f| exact[f as usize] = true);
     }
     let mut at = positions(mesh, &motion, &exact, unit);
@@ -125,17 +125,17 @@ fn largest_moved_part(mesh: &MergeMesh, chart: &MergeChart, unit: f64) -> Option
 fn positions(mesh: &MergeMesh, motion: &[Rigid], exact: &[bool], unit: f64) -> Vec<Option<DVec2>> {
     let mut at: Vec<Option<DVec2>> = vec![None; mesh.vertex_count()];
     for f in mesh.faces().filter(|&f| exact[f as usize]) {
-        let own = motion[mesh.chart_of(f) as usize].after(&mesh.motion[mesh.source[f as usize] as usize]);
+        let own = motion[mesh.chart_of(f) as usize] * mesh.motion[mesh.source[f as usize] as usize];
         let whole = whole(&own, unit);
         for (u, p) in mesh.corners(f).into_iter().zip(mesh.rest[f as usize]) {
-            at[u as usize].get_or_insert(whole.apply(p));
+            at[u as usize].get_or_insert(whole.transform_point2(p));
         }
     }
     for (u, at) in (0..).zip(&mut at) {
         if at.is_none()
             && let Some(f) = mesh.star(u).next()
         {
-            *at = Some(motion[mesh.chart_of(f) as usize].apply(mesh.uv(u)));
+            *at = Some(motion[mesh.chart_of(f) as usize].transform_point2(mesh.uv(u)));
         }
     }
     at
@@ -188,19 +188,20 @@ fn median(mut values: Vec<f64>) -> f64 {
 /// Whether a face lies where its chart of the input was moved.
 fn is_moved(mesh: &MergeMesh, face: u32) -> bool {
     let motion = &mesh.motion[mesh.source[face as usize] as usize];
-    mesh.triangle(face).iter().zip(&mesh.rest[face as usize]).all(|(p, q)| motion.apply(*q).distance(*p) <= WHOLE)
+    mesh.triangle(face)
+        .iter()
+        .zip(&mesh.rest[face as usize])
+        .all(|(p, q)| motion.transform_point2(*q).distance(*p) <= WHOLE)
 }
 
 /// Whether two motions differ by quarter turns and whole units, at the place of a face.
 fn on_grid(a: &Rigid, b: &Rigid, rest: &[DVec2; 3], unit: f64) -> bool {
-    let relative = a.inverse().after(b);
+    let relative = back(a) * *b;
     let whole = whole(&relative, unit);
-    rest.iter().all(|p| relative.apply(*p).distance(whole.apply(*p)) <= WHOLE)
+    rest.iter().all(|p| relative.transform_point2(*p).distance(whole.transform_point2(*p)) <= WHOLE)
 }
 
 /// The motion by quarter turns and whole units that is nearest.
 fn whole(motion: &Rigid, unit: f64) -> Rigid {
-    let (cos, sin) =
-        if motion.cos.abs() >= motion.sin.abs() { (motion.cos.signum(), 0.0) } else { (0.0, motion.sin.signum()) };
-    Rigid { cos, sin, translate: (motion.translate / unit).round() * unit }
+    on_multiples(nearest_quarter_turn(motion), motion.translation, unit)
 }

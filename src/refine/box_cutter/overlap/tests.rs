@@ -3,7 +3,6 @@ use std::sync::atomic::AtomicBool;
 
 use glam::DVec2;
 
-use super::baseline::{Outlines, remove_overlaps_along_outlines};
 use super::*;
 use crate::atlas::overlap::overlaps_where;
 use crate::atlas::testing::{Rng, atlas, join, sheet};
@@ -64,9 +63,7 @@ fn a_crossing_is_cut_where_the_strip_is_narrowest() {
     });
     assert!(self_overlaps(&strip) > 0);
     let removed = removed(&strip);
-    let base = remove_overlaps_along_outlines(&strip, Outlines::All, &Context::silent()).unwrap();
-    let length = |a: &Atlas| border_length(a, &Topology::new(a));
-    assert!(removed.cut_length <= 0.5 * (length(&base) - length(&strip)), "{}", removed.cut_length);
+    assert!(removed.cut_length < 2.2, "{}", removed.cut_length);
 }
 
 #[test]
@@ -157,15 +154,6 @@ fn growing_apart_needs_no_pairs_and_leaves_no_overlap() {
     assert_eq!(graph::count_pairs(&ring, &faces, 10, &Context::silent()).unwrap(), None);
 }
 
-#[test]
-fn the_usual_method_leaves_no_overlap_either() {
-    let both = join(&ring(2.2, 80, 3), &ring(1.2, 50, 2));
-    for outlines in [Outlines::All, Outlines::AllButOne] {
-        let base = remove_overlaps_along_outlines(&both, outlines, &Context::silent()).unwrap();
-        assert_eq!(self_overlaps(&base), 0);
-    }
-}
-
 /// A band, closed on the surface, unrolled to a straight, 1.2 turns of a ring and a straight: it overlaps itself, but cut open in
 /// the middle of the ring instead of where it was, it would not.
 fn unrolled_band() -> Atlas {
@@ -205,13 +193,6 @@ fn bias_is_counted_when_asked_for() {
     let graph = Graph::from_edges(6, &near, &[(0, 5, 4)], &[]);
     let solved = solve::solve(&graph, u64::MAX, &Context::silent()).unwrap();
     assert_eq!((graph.cost(&solved.label), optimum(&graph)), (-3, -3));
-    let (on, trial) = (Bias::On, Bias::Trial);
-    let ring = ring(1.5, 60, 2);
-    let with = |bias| {
-        let options = (bias, Method::Published);
-        remove_overlaps_with(&ring, &|_| true, None, options, &Context::silent()).unwrap().atlas
-    };
-    assert_eq!(with(on), with(trial), "no seam, no difference");
 }
 
 #[test]
@@ -244,7 +225,7 @@ fn optimum(graph: &Graph) -> i64 {
 #[test]
 fn small_graphs_are_solved_as_well_as_by_trying_everything() {
     let mut rng = Rng(21);
-    let (mut equal, mut published, mut rounds) = (0, 0, 0);
+    let (mut equal, mut rounds) = (0, 0);
     for round in 0..60 {
         // A grid of 2 x 4 nodes, some pairs in conflict, and in every other round some bias.
         let mut near = Vec::new();
@@ -269,16 +250,11 @@ fn small_graphs_are_solved_as_well_as_by_trying_everything() {
         let graph = Graph::from_edges(8, &near, &bias, &conflicts);
         let best = optimum(&graph);
         let ours = solve::solve(&graph, u64::MAX, &Context::silent()).unwrap();
-        let theirs = solve::solve_as_published(&graph, u64::MAX, &Context::silent()).unwrap();
-        for solved in [&ours, &theirs] {
-            assert!(graph.is_feasible(&solved.label));
-            assert!(graph.cost(&solved.label) >= best);
-        }
+        assert!(graph.is_feasible(&ours.label));
+        assert!(graph.cost(&ours.label) >= best);
         rounds += 1;
         equal += usize::from(graph.cost(&ours.label) == best);
-        published += usize::from(graph.cost(&theirs.label) == best);
         assert!(graph.cost(&ours.label) - best <= 60, "round {round}: {} against {best}", graph.cost(&ours.label));
     }
     assert!(10 * equal >= 9 * rounds, "{equal} of {rounds} optimal");
-    assert!(2 * published >= rounds, "{published} of {rounds} optimal as published");
 }

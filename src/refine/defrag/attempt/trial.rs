@@ -182,7 +182,7 @@ impl<'a> MergeTrial<'a> {
     pub(super) fn aligned(&self, vertex: u32) -> DVec2 {
         let at = self.mesh.uv(vertex);
         match self.mesh.star(vertex).next() {
-            Some(f) if self.is_moved(f) => self.op.motion.apply(at),
+            Some(f) if self.is_moved(f) => self.op.motion.transform_point2(at),
             _ => at,
         }
     }
@@ -190,7 +190,7 @@ impl<'a> MergeTrial<'a> {
     /// Where a face is then.
     pub(super) fn aligned_triangle(&self, face: u32) -> [DVec2; 3] {
         let motion = if self.is_moved(face) { self.op.motion } else { Rigid::IDENTITY };
-        self.mesh.triangle(face).map(|p| if motion == Rigid::IDENTITY { p } else { motion.apply(p) })
+        self.mesh.triangle(face).map(|p| if motion == Rigid::IDENTITY { p } else { motion.transform_point2(p) })
     }
 
     /// Where a deformable face comes to lie.

@@ -3,6 +3,7 @@
 use super::{MergeChart, MergeMesh, area};
 use crate::atlas::UvId;
 use crate::atlas::bvh::Bounds;
+use crate::atlas::groups::sorted_unique;
 use crate::refine::defrag::attempt::Merge;
 use crate::refine::defrag::operation::Operation;
 
@@ -75,16 +76,8 @@ impl MergeMesh {
 
     /// Border edges of what changes shape.
     fn changing_edges(&self, merge: &Merge) -> Vec<u32> {
-        let mut edges: Vec<u32> = merge
-            .deformable
-            .iter()
-            .flat_map(|&(f, _)| 3 * f..3 * f + 3)
-            .filter(|&h| self.is_border(h))
-            .chain(merge.zip.iter().flat_map(|&(h, t)| [h, t]))
-            .collect();
-        edges.sort_unstable();
-        edges.dedup();
-        edges
+        let own = merge.deformable.iter().flat_map(|&(f, _)| 3 * f..3 * f + 3).filter(|&h| self.is_border(h));
+        sorted_unique(own.chain(merge.zip.iter().flat_map(|&(h, t)| [h, t])))
     }
 
     /// Length of those of the edges that are on a border, and area of the deformable faces.
@@ -96,12 +89,9 @@ impl MergeMesh {
     /// Aligns the chart that moves, and gives its faces to the kept one.
     fn bring(&mut self, op: &Operation) -> Vec<u32> {
         let coming = std::mem::take(&mut self.charts[op.moved as usize].faces);
-        let mut vertices: Vec<u32> = coming.iter().flat_map(|&f| self.corners(f)).collect();
-        vertices.sort_unstable();
-        vertices.dedup();
         let mut bounds = self.charts[op.kept as usize].bounds;
-        for &u in &vertices {
-            let at = op.motion.apply(self.uv(u));
+        for u in sorted_unique(coming.iter().flat_map(|&f| self.corners(f))) {
+            let at = op.motion.transform_point2(self.uv(u));
             self.mesh.move_uv(UvId(u), at);
             bounds = bounds.union(Bounds::of(&[at]));
         }
@@ -142,7 +132,7 @@ impl MergeMesh {
     fn join(&mut self, op: &Operation, main_part: u32) {
         let gone: MergeChart = std::mem::take(&mut self.charts[op.moved as usize]);
         for &part in &gone.parts {
-            self.motion[part as usize] = op.motion.after(&self.motion[part as usize]);
+            self.motion[part as usize] = op.motion * self.motion[part as usize];
         }
         let chart = &mut self.charts[op.kept as usize];
         if op.whole_texels {
