@@ -49,8 +49,8 @@ pub fn coverage(atlas: &Atlas, charts: &Charts, clusters: &Clusters) -> Coverage
 pub fn coverage_of_page(atlas: &Atlas, charts: &Charts, clusters: &Clusters, page: usize) -> Coverage {
     let faces = faces_with_area(atlas, atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page));
     let triangles = turned(atlas, &faces);
-    let boxes: Vec<Bounds> = triangles.iter().map(|t| Bounds::of(t)).collect();
-    let sets = components(&boxes, |a, b| turned_overlap(&triangles[a], &triangles[b]));
+    let boxes: Vec<Bounds> = triangles.iter().map(Bounds::of).collect();
+    let sets = components(&boxes, |a, b| turned_overlap(&triangles[a], &triangles[b])).sets();
 
     let sum: f64 = faces.iter().map(|&f| atlas.uv_area(f).abs()).sum();
     let mut whole = Coverage { covered: sum, by_charts: sum, ..Coverage::default() };

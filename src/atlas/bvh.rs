@@ -22,8 +22,19 @@ impl Default for Bounds {
 impl Bounds {
     pub(crate) const EMPTY: Bounds = Bounds { min: DVec2::INFINITY, max: DVec2::NEG_INFINITY };
 
-    pub(crate) fn of(points: &[DVec2]) -> Self {
-        points.iter().fold(Self::EMPTY, |b, p| b.union(Bounds { min: *p, max: *p }))
+    /// The least box that holds the points; [`Self::EMPTY`] of none.
+    pub(crate) fn of<'a>(points: impl IntoIterator<Item = &'a DVec2>) -> Self {
+        Self::around(points.into_iter().copied())
+    }
+
+    /// [`Self::of`] points that come one by one.
+    pub(crate) fn around(points: impl Iterator<Item = DVec2>) -> Self {
+        points.fold(Self::EMPTY, |b, p| b.union(Bounds { min: p, max: p }))
+    }
+
+    /// Itself, or the origin where it is empty or endless.
+    pub(crate) fn or_zero(self) -> Self {
+        if self.min.is_finite() { self } else { Bounds { min: DVec2::ZERO, max: DVec2::ZERO } }
     }
 
     pub(crate) fn union(self, other: Self) -> Self {
@@ -149,7 +160,7 @@ pub(crate) struct TriangleTree {
 
 impl TriangleTree {
     pub(crate) fn new(triangles: &[[DVec2; 3]]) -> Self {
-        let tree = Bvh::new(&triangles.iter().map(|t| Bounds::of(t)).collect::<Vec<_>>());
+        let tree = Bvh::new(&triangles.iter().map(Bounds::of).collect::<Vec<_>>());
         let triangles = tree.order.iter().map(|&i| triangles[i as usize]).collect();
         TriangleTree { tree, triangles }
     }

@@ -368,7 +368,8 @@ fn folded(atlas: &Atlas) -> Vec<bool> {
     folded
 }
 
-fn triangle_area(t: &[DVec2; 3]) -> f64 {
+/// The area of a triangle.
+pub(crate) fn triangle_area(t: &[DVec2; 3]) -> f64 {
     0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()
 }
 

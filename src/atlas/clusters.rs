@@ -28,39 +28,29 @@ pub struct Clusters {
     pub charts: Vec<Vec<ChartId>>,
 }
 
-impl Clusters {
-    /// Clusters from sets of `n` charts.
-    fn new(n: usize, sets: Vec<Vec<u32>>) -> Self {
-        let mut of_chart = vec![0; n];
-        for (cluster, own) in sets.iter().enumerate() {
-            own.iter().for_each(|&chart| of_chart[chart as usize] = cluster as u32);
-        }
-        Clusters { of_chart, charts: sets.into_iter().map(|own| own.into_iter().map(ChartId).collect()).collect() }
-    }
-}
-
 /// Joins charts that overlap, directly or through others ([`OverlapMode::Stack`]), or leaves each alone.
 pub fn clusters(atlas: &Atlas, charts: &Charts, mode: OverlapMode) -> Clusters {
-    let sets = match mode {
-        OverlapMode::Separate => DisjointSets::new(charts.len()).sets(),
+    let mut sets = match mode {
+        OverlapMode::Separate => DisjointSets::new(charts.len()),
         OverlapMode::Stack => {
             let bodies = ChartBvhs::new(atlas, charts);
             let boxes: Vec<Bounds> = bodies.place.iter().map(|p| p.1).collect();
             components(&boxes, |a, b| bodies.overlap(a, b))
         }
     };
-    Clusters::new(charts.len(), sets)
+    let (of_chart, charts) = sets.numbered();
+    Clusters { of_chart, charts: charts.into_iter().map(|own| own.into_iter().map(ChartId).collect()).collect() }
 }
 
 /// Overlaps that one item looks for in one round.
 const HITS: usize = 4;
 
-/// Connected components of the overlap graph, each ascending, in the order of their least items.
+/// Connected components of the overlap graph.
 ///
 /// In each round every item looks for a few neighbours outside its component among the later ones, all at once and against
 /// the components of the round before; subtrees that lie wholly in its component are not entered. So a
 /// stack of n equal items takes O(n log^2 n) and not n^2 tests, and the result does not depend on the order.
-pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> bool + Sync) -> Vec<Vec<u32>> {
+pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> bool + Sync) -> DisjointSets {
     let tree = Bvh::new(boxes);
     let mut sets = DisjointSets::new(boxes.len());
     // By position in the tree.
@@ -102,7 +92,7 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
         }
         open = still;
     }
-    sets.sets()
+    sets
 }
 
 #[cfg(test)]
@@ -128,7 +118,7 @@ mod tests {
             expected.unite(a.0, b.0);
         }
         let found = clusters(&atlas, &charts, OverlapMode::Stack);
-        assert_eq!(found, Clusters::new(300, expected.sets()));
+        assert_eq!(found.of_chart, expected.numbered().0);
         assert!(found.charts.len() > 20 && found.charts.len() < 280, "both kinds occur");
         assert_eq!(clusters(&atlas, &charts, OverlapMode::Separate).charts.len(), charts.len());
     }

@@ -2,6 +2,7 @@
 
 use glam::{DMat2, DVec2};
 
+use super::bvh::Bounds;
 use super::groups::sorted_unique;
 use super::{Atlas, Charts, FaceId, Provenance, Topology, UvId, VertexId};
 
@@ -97,8 +98,8 @@ impl Atlas {
     /// were, they would seem to share texels with others.
     pub(crate) fn set_apart(&self, moved: &[bool], step: f64) -> Atlas {
         let charts = Charts::new(&Topology::new(self));
-        let points = || self.corners.iter().flatten().map(|u| self.uv[u.index()]).filter(|p| p.is_finite());
-        let high = points().fold(DVec2::ZERO, DVec2::max);
+        let points = self.corners.iter().flatten().map(|u| self.uv[u.index()]).filter(|p| p.is_finite());
+        let high = points.fold(DVec2::ZERO, DVec2::max);
         let mut x = (high.x / step).ceil() * step + step;
         let moves: Vec<_> = charts
             .faces
@@ -106,12 +107,11 @@ impl Atlas {
             .map(|faces| {
                 let mut by = DVec2::ZERO;
                 if faces.iter().any(|f| moved[f.index()]) {
-                    let own = || faces.iter().flat_map(|f| self.uv_triangle(*f)).filter(|p| p.is_finite());
-                    let low = own().fold(DVec2::INFINITY, DVec2::min);
-                    let high = own().fold(DVec2::NEG_INFINITY, DVec2::max);
-                    if low.is_finite() {
-                        by = DVec2::new(x - (low.x / step).floor() * step, -(low.y / step).floor() * step);
-                        x += ((high.x - low.x) / step).ceil() * step + 2.0 * step;
+                    let own = faces.iter().flat_map(|f| self.uv_triangle(*f)).filter(|p| p.is_finite());
+                    let Bounds { min, max } = Bounds::around(own);
+                    if min.is_finite() {
+                        by = DVec2::new(x - (min.x / step).floor() * step, -(min.y / step).floor() * step);
+                        x += ((max.x - min.x) / step).ceil() * step + 2.0 * step;
                     }
                 }
                 let page = faces.first().map_or(0, |f| self.page[f.index()]);

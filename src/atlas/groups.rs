@@ -34,17 +34,24 @@ impl DisjointSets {
 
     /// The sets, each ascending, in the order of their least members.
     pub(crate) fn sets(&mut self) -> Vec<Vec<u32>> {
+        self.numbered().1
+    }
+
+    /// The number of each member's set, and [`Self::sets`].
+    pub(crate) fn numbered(&mut self) -> (Vec<u32>, Vec<Vec<u32>>) {
         let mut sets: Vec<Vec<u32>> = Vec::new();
-        let mut number = vec![usize::MAX; self.parent.len()];
+        let mut number = vec![0; self.parent.len()];
         for i in 0..self.parent.len() as u32 {
-            let own = &mut number[self.find(i) as usize];
-            if *own == usize::MAX {
-                *own = sets.len();
+            // What a set goes by is its least member, which comes first.
+            let root = self.find(i);
+            if root == i {
+                number[i as usize] = sets.len() as u32;
                 sets.push(Vec::new());
             }
-            sets[*own].push(i);
+            number[i as usize] = number[root as usize];
+            sets[number[i as usize] as usize].push(i);
         }
-        sets
+        (number, sets)
     }
 }
 

@@ -25,6 +25,7 @@ mod trail;
 
 pub use area::{Coverage, coverage, coverage_of_page};
 pub use charts::{Charts, Loops};
+pub(crate) use check::triangle_area;
 pub use check::{Exactness, Violation, check};
 pub use clusters::{Clusters, OverlapMode, clusters};
 pub use edit::Move;

@@ -25,6 +25,7 @@ mod tuning;
 use glam::DVec2;
 
 use crate::atlas::Move;
+use crate::atlas::bvh::Bounds;
 pub use fit::{Fitted, pack_into};
 pub(crate) use greedy::{Plan, StripLayout, greedy};
 pub use guided::InitialLayout;
@@ -56,15 +57,8 @@ pub struct Piece {
 impl Piece {
     /// Diagonal of the bounding box, in texels.
     fn diagonal(&self) -> f64 {
-        let (low, high) = corners(self.triangles.iter().flatten().copied());
-        (high - low).length()
+        Bounds::of(self.triangles.iter().flatten()).or_zero().size().length()
     }
-}
-
-/// Corners of the bounding box of points; of none, twice the origin.
-fn corners(points: impl Iterator<Item = DVec2>) -> (DVec2, DVec2) {
-    let (low, high) = points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
-    if low.is_finite() { (low, high) } else { (DVec2::ZERO, DVec2::ZERO) }
 }
 
 /// Distances that placement keeps, in reference texels.

@@ -2,7 +2,8 @@
 
 use glam::{DMat2, DVec2};
 
-use super::{Piece, corners};
+use super::Piece;
+use crate::atlas::bvh::Bounds;
 use crate::packing::Rotation;
 
 /// A rotation, after an optional mirroring of x.
@@ -81,8 +82,8 @@ fn tightest_box(piece: &Piece) -> f64 {
     let points = hull(piece.triangles.iter().flatten().copied().collect());
     let area = |angle: f64| -> f64 {
         let (sin, cos) = angle.sin_cos();
-        let (low, high) = corners(points.iter().map(|p| DVec2::new(p.x * cos - p.y * sin, p.x * sin + p.y * cos)));
-        (high - low).element_product()
+        let turned = points.iter().map(|p| DVec2::new(p.x * cos - p.y * sin, p.x * sin + p.y * cos));
+        Bounds::around(turned).or_zero().size().element_product()
     };
     least(area, FRAC_PI_2 / 90.0).rem_euclid(FRAC_PI_2)
 }

@@ -99,12 +99,8 @@ pub(super) struct Run<'a> {
     steps: Vec<Step>,
 }
 
-/// What the stages leave: every Atlas as the last of them left it.
-struct Refined<'a> {
-    refinements: Vec<Refinement<'a>>,
-    /// The images that are needed first: decoded while the stages ran.
-    images: Option<Images<'a>>,
-}
+/// What the stages leave: every Atlas as the last of them left it, and the images that are needed first, decoded while the stages ran.
+type Refined<'a> = (Vec<Refinement<'a>>, Option<Images<'a>>);
 
 impl<'a> Run<'a> {
     pub(super) fn new(input: &'a Input, options: &'a Options, context: &'a Context) -> Self {
@@ -149,12 +145,11 @@ impl<'a> Run<'a> {
             Ok(())
         };
         let (done, images) = rayon::join(&mut run_stages, || first.map(|images| images.begun(self.context)));
-        done.map(|()| Refined { refinements, images })
+        done.map(|()| (refinements, images))
     }
 
     /// Gives every Atlas its textures.
-    fn bake<'l>(&self, loaded: &'l Loaded, refined: Refined<'l>) -> Result<Vec<Refinement<'l>>> {
-        let Refined { mut refinements, images } = refined;
+    fn bake<'l>(&self, loaded: &'l Loaded, (mut refinements, images): Refined<'l>) -> Result<Vec<Refinement<'l>>> {
         let mut begun = images.filter(|_| refinements.first().is_some_and(|r| !r.kept));
         let count = refinements.len();
         for (n, r) in refinements.iter_mut().enumerate().filter(|(_, r)| !r.kept) {

@@ -21,7 +21,6 @@ mod tests;
 mod void;
 mod weld;
 
-use glam::DVec2;
 use serde_json::{Map, Value, json};
 
 use self::arrange::Sheet;
@@ -34,6 +33,7 @@ use super::options::Options;
 use super::pack::{finished, lay_out};
 use super::stage::{SheetInfo, StageInput, Staged};
 use crate::atlas::OverlapMode;
+use crate::atlas::bvh::Bounds;
 use crate::atlas::{Atlas, ChartId, Charts, HalfEdge, Mesh, Topology, clusters};
 use crate::error::{Failure, Result, Warning};
 use crate::packing::Pitch;
@@ -223,8 +223,8 @@ fn sheet(panels: &[std::sync::Arc<panel::Panel>], sheet_info: &SheetInfo, option
     let cells = CELLS.iter().find(|(n, _)| panels.len() <= *n).map_or(160.0, |(_, c)| *c);
     let cell = side / cells;
     let longest = panels.iter().map(|p| {
-        let (low, high) = p.outline.bounds();
-        if low.is_finite() { ((high - low).length() + gutter) / cell } else { 0.0 }
+        let bounds = p.outline.bounds();
+        if bounds.min.is_finite() { (bounds.size().length() + gutter) / cell } else { 0.0 }
     });
     let longest = longest.fold(0.0, f64::max).min(1e5) as usize + 4;
     let aspect = options.pack.aspect;
@@ -259,24 +259,21 @@ fn packed_efficiency(atlas: &Atlas, sheet_info: &SheetInfo, options: &Options) -
 
 /// Area of the charts over the area of their boxes, page by page.
 fn efficiency(atlas: &Atlas) -> f64 {
-    let mut boxes = vec![(DVec2::INFINITY, DVec2::NEG_INFINITY); atlas.sheets.len()];
+    let mut boxes = vec![Bounds::EMPTY; atlas.sheets.len()];
     let mut area = 0.0;
     for face in atlas.faces() {
         area += atlas.uv_area(face).abs();
         let own = &mut boxes[usize::from(atlas.page[face.index()])];
-        for p in atlas.uv_triangle(face) {
-            *own = (own.0.min(p), own.1.max(p));
-        }
+        *own = own.union(Bounds::of(&atlas.uv_triangle(face)));
     }
-    let whole: f64 = boxes.iter().filter(|b| b.0.is_finite()).map(|b| (b.1 - b.0).element_product()).sum();
+    let whole: f64 = boxes.iter().filter(|b| b.min.is_finite()).map(|b| b.size().element_product()).sum();
     area / whole.max(1e-300)
 }
 
 fn longest_side(atlas: &Atlas) -> f64 {
-    let points = || atlas.corners.iter().flatten().map(|u| atlas.uv[u.index()]).filter(|p| p.is_finite());
-    let low = points().fold(DVec2::INFINITY, DVec2::min);
-    let high = points().fold(DVec2::NEG_INFINITY, DVec2::max);
-    if low.is_finite() { (high - low).max_element().max(1e-9) } else { 1.0 }
+    let points = atlas.corners.iter().flatten().map(|u| atlas.uv[u.index()]).filter(|p| p.is_finite());
+    let bounds = Bounds::around(points);
+    if bounds.min.is_finite() { bounds.size().max_element().max(1e-9) } else { 1.0 }
 }
 
 fn border(atlas: &Atlas) -> f64 {

@@ -25,7 +25,7 @@ mod topology;
 use serde_json::{Map, Value, json};
 
 use self::account::Account;
-use self::attempt::Attempt;
+use self::attempt::{Attempt, Reason};
 use self::mergeable::Mergeable;
 use self::mesh::MergeMesh;
 use self::params::Defrag;
@@ -89,7 +89,7 @@ fn merge_charts(
         let Attempt { outcome, footprint, work } = if !attempts.stays_planar(mesh, &op) {
             Attempt::not_planar(mesh, &op, params)
         } else if limit.is_some_and(|limit| !limit.allows(mesh, &op)) {
-            Attempt::too_large(mesh, &op, params)
+            Attempt::failed(mesh, &op, params, Reason::Size)
         } else {
             attempts.attempt(mesh, &queue, id)
         };

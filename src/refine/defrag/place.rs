@@ -5,11 +5,11 @@
 
 use glam::DVec2;
 
-use super::mesh::{MergeChart, MergeMesh, area, mirror};
+use super::mesh::{MergeChart, MergeMesh, mirror};
 use super::sheet_limit::SheetLimit;
-use crate::atlas::Atlas;
 use crate::atlas::bvh::Bounds;
 use crate::atlas::rigid::{Rigid, back, nearest_quarter_turn, on_multiples};
+use crate::atlas::{Atlas, triangle_area};
 use crate::refine::stage::SheetInfo;
 
 /// How far corners may lie from whole texels to be put there: resampling counts less than this as none.
@@ -148,7 +148,7 @@ fn enlarge(mesh: &MergeMesh, free: &[bool], limit: Option<SheetLimit>, at: &mut 
     let mut scale: Vec<f64> =
         charts.iter().zip(free).map(|(c, free)| if *free { growth(mesh, &c.faces) } else { 1.0 }).collect();
     // Nor is the usual texel coarser: the faces that lost most are not all in charts that grew.
-    let density = |f: u32, t: &[DVec2; 3]| area(t) / mesh.area[f as usize];
+    let density = |f: u32, t: &[DVec2; 3]| triangle_area(t) / mesh.area[f as usize];
     let scaled = |f: u32, u: u32| at[u as usize].unwrap_or(mesh.uv(u)) * scale[mesh.chart_of(f) as usize];
     let before = median(mesh.faces().map(|f| density(f, &mesh.rest[f as usize])).collect());
     let now = median(mesh.faces().map(|f| density(f, &mesh.corners(f).map(|u| scaled(f, u)))).collect());
@@ -159,8 +159,7 @@ fn enlarge(mesh: &MergeMesh, free: &[bool], limit: Option<SheetLimit>, at: &mut 
     if let Some(limit) = limit {
         for (chart, scale) in charts.iter().zip(&mut scale).filter(|(_, s)| **s > 1.0) {
             let lies = chart.faces.iter().flat_map(|&f| mesh.corners(f)).filter_map(|u| at[u as usize]);
-            let bounds = lies.map(|p| Bounds::of(&[p])).fold(Bounds::EMPTY, Bounds::union);
-            *scale = scale.min(limit.growth(bounds.size()).max(1.0));
+            *scale = scale.min(limit.growth(Bounds::around(lies).size()).max(1.0));
         }
     }
     for (u, at) in (0..).zip(at) {
@@ -172,8 +171,8 @@ fn enlarge(mesh: &MergeMesh, free: &[bool], limit: Option<SheetLimit>, at: &mut 
 
 /// By how much the faces must grow in both directions to cover as many texels as in the input; never less than one.
 fn growth(mesh: &MergeMesh, faces: &[u32]) -> f64 {
-    let before: f64 = faces.iter().map(|&f| area(&mesh.rest[f as usize])).sum();
-    let now: f64 = faces.iter().map(|&f| area(&mesh.triangle(f))).sum();
+    let before: f64 = faces.iter().map(|&f| triangle_area(&mesh.rest[f as usize])).sum();
+    let now: f64 = faces.iter().map(|&f| triangle_area(&mesh.triangle(f))).sum();
     let grown = (before / now).sqrt();
     if grown.is_finite() { grown.clamp(1.0, MOST_GROWTH) } else { 1.0 }
 }

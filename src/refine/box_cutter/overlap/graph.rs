@@ -118,12 +118,6 @@ impl Graph {
         };
         cut(&self.near) - cut(&self.bias)
     }
-
-    /// Whether no two overlapping nodes share a label.
-    #[cfg(test)]
-    pub(crate) fn is_feasible(&self, label: &[u32]) -> bool {
-        (0..self.len() as u32).all(|v| self.conflicts(v).iter().all(|&u| label[u as usize] != label[v as usize]))
-    }
 }
 
 /// What the graphs of all charts have in common.

@@ -80,7 +80,7 @@ impl MergeTrial<'_> {
 
     /// By a sweep along x.
     fn overlapping_each_other(&mut self, placed: &[[DVec2; 3]], found: &mut Vec<u32>) {
-        let bounds: Vec<Bounds> = placed.iter().map(|t| Bounds::of(t)).collect();
+        let bounds: Vec<Bounds> = placed.iter().map(Bounds::of).collect();
         let mut order: Vec<u32> = (0..placed.len() as u32).collect();
         order.sort_unstable_by(|&a, &b| bounds[a as usize].min.x.total_cmp(&bounds[b as usize].min.x).then(a.cmp(&b)));
         for (n, &i) in order.iter().enumerate() {

@@ -1,9 +1,9 @@
 //! Making a merge: the only place that changes the mesh.
 
-use super::{MergeChart, MergeMesh, area};
-use crate::atlas::UvId;
+use super::{MergeChart, MergeMesh};
 use crate::atlas::bvh::Bounds;
 use crate::atlas::groups::sorted_unique;
+use crate::atlas::{UvId, triangle_area};
 use crate::refine::defrag::attempt::Merge;
 use crate::refine::defrag::operation::Operation;
 
@@ -83,7 +83,7 @@ impl MergeMesh {
     /// Length of those of the edges that are on a border, and area of the deformable faces.
     fn measured(&self, edges: &[u32], merge: &Merge) -> (f64, f64) {
         let border = edges.iter().filter(|&&h| self.is_border(h)).map(|&h| self.length(h)).sum();
-        (border, merge.deformable.iter().map(|&(f, _)| area(&self.triangle(f))).sum())
+        (border, merge.deformable.iter().map(|&(f, _)| triangle_area(&self.triangle(f))).sum())
     }
 
     /// Aligns the chart that moves, and gives its faces to the kept one.
