@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use super::bvh::Bounds;
 use super::clusters::components;
+use super::groups::sorted_unique;
 use super::overlap::{faces_with_area, page_count, turned, turned_overlap};
 use super::{Atlas, Charts, Clusters, FaceId};
 
@@ -35,11 +36,6 @@ impl Coverage {
     }
 }
 
-/// The area that the faces of one page cover, each point once, in square texels.
-pub fn covered_area(atlas: &Atlas, charts: &Charts, clusters: &Clusters, page: usize) -> f64 {
-    coverage_of_page(atlas, charts, clusters, page).covered
-}
-
 /// The coverage of all pages together.
 pub fn coverage(atlas: &Atlas, charts: &Charts, clusters: &Clusters) -> Coverage {
     let mut whole = Coverage::default();
@@ -53,17 +49,14 @@ pub fn coverage(atlas: &Atlas, charts: &Charts, clusters: &Clusters) -> Coverage
 pub fn coverage_of_page(atlas: &Atlas, charts: &Charts, clusters: &Clusters, page: usize) -> Coverage {
     let faces = faces_with_area(atlas, atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page));
     let triangles = turned(atlas, &faces);
-    let boxes: Vec<Bounds> = triangles.iter().map(|t| Bounds::of(t)).collect();
-    let label = components(&boxes, |a, b| turned_overlap(&triangles[a], &triangles[b]));
+    let boxes: Vec<Bounds> = triangles.iter().map(Bounds::of).collect();
+    let sets = components(&boxes, |a, b| turned_overlap(&triangles[a], &triangles[b])).sets();
 
     let sum: f64 = faces.iter().map(|&f| atlas.uv_area(f).abs()).sum();
     let mut whole = Coverage { covered: sum, by_charts: sum, ..Coverage::default() };
-    let mut order: Vec<u32> = (0..faces.len() as u32).collect();
-    order.sort_by_key(|&i| label[i as usize]);
-    let groups: Vec<&[u32]> =
-        order.chunk_by(|a, b| label[*a as usize] == label[*b as usize]).filter(|g| g.len() > 1).collect();
-    let parts: Vec<Coverage> = groups
+    let parts: Vec<Coverage> = sets
         .par_iter()
+        .filter(|group| group.len() > 1)
         .map(|group| {
             let member = |&i: &u32| Member::new(atlas, charts, clusters, faces[i as usize]);
             scan(&group.iter().map(member).collect::<Vec<_>>())
@@ -212,12 +205,8 @@ struct Line {
 
 impl Line {
     fn new(members: &[&Member]) -> Self {
-        let mut charts: Vec<(u32, u32)> = members.iter().map(|m| (m.chart, m.cluster)).collect();
-        charts.sort_unstable();
-        charts.dedup();
-        let mut clusters: Vec<u32> = charts.iter().map(|c| c.1).collect();
-        clusters.sort_unstable();
-        clusters.dedup();
+        let charts: Vec<(u32, u32)> = sorted_unique(members.iter().map(|m| (m.chart, m.cluster)));
+        let clusters: Vec<u32> = sorted_unique(charts.iter().map(|c| c.1));
         Line {
             events: Vec::new(),
             chart_of: members.iter().map(|m| charts.partition_point(|c| c.0 < m.chart) as u32).collect(),

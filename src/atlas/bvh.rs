@@ -22,8 +22,19 @@ impl Default for Bounds {
 impl Bounds {
     pub(crate) const EMPTY: Bounds = Bounds { min: DVec2::INFINITY, max: DVec2::NEG_INFINITY };
 
-    pub(crate) fn of(points: &[DVec2]) -> Self {
-        points.iter().fold(Self::EMPTY, |b, p| b.union(Bounds { min: *p, max: *p }))
+    /// The least box that holds the points; [`Self::EMPTY`] of none.
+    pub(crate) fn of<'a>(points: impl IntoIterator<Item = &'a DVec2>) -> Self {
+        Self::around(points.into_iter().copied())
+    }
+
+    /// [`Self::of`] points that come one by one.
+    pub(crate) fn around(points: impl Iterator<Item = DVec2>) -> Self {
+        points.fold(Self::EMPTY, |b, p| b.union(Bounds { min: p, max: p }))
+    }
+
+    /// Itself, or the origin where it is empty or endless.
+    pub(crate) fn or_zero(self) -> Self {
+        if self.min.is_finite() { self } else { Bounds { min: DVec2::ZERO, max: DVec2::ZERO } }
     }
 
     pub(crate) fn union(self, other: Self) -> Self {
@@ -73,8 +84,13 @@ impl Bvh {
     }
 
     /// Calls `visit` with the position of every item from position `from` on whose box meets `query`,
-    /// in order of position, until it returns false. `enter` may refuse a node by its number.
-    pub(crate) fn query(
+    /// in order of position, until it returns false.
+    pub(crate) fn query(&self, query: &Bounds, from: usize, visit: impl FnMut(usize) -> bool) {
+        self.query_nodes(query, from, |_| true, visit);
+    }
+
+    /// [`Self::query`], where `enter` may refuse a node by its number.
+    pub(crate) fn query_nodes(
         &self,
         query: &Bounds,
         from: usize,
@@ -131,6 +147,22 @@ impl Bvh {
     /// The box of the item at a position.
     pub(crate) fn bounds_at(&self, position: usize) -> Bounds {
         self.boxes[position]
+    }
+}
+
+/// Triangles in a tree.
+#[derive(Debug)]
+pub(crate) struct TriangleTree {
+    pub tree: Bvh,
+    /// By position in the tree.
+    pub triangles: Vec<[DVec2; 3]>,
+}
+
+impl TriangleTree {
+    pub(crate) fn new(triangles: &[[DVec2; 3]]) -> Self {
+        let tree = Bvh::new(&triangles.iter().map(Bounds::of).collect::<Vec<_>>());
+        let triangles = tree.order.iter().map(|&i| triangles[i as usize]).collect();
+        TriangleTree { tree, triangles }
     }
 }
 

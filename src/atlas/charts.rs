@@ -1,5 +1,6 @@
 //! Charts and their boundary loops, derived from the topology.
 
+use super::groups::DisjointSets;
 use super::{Atlas, ChartId, FaceId, HalfEdge, Topology, UvId};
 
 /// The charts of an Atlas: connected components of faces over UV edges.
@@ -14,37 +15,16 @@ pub struct Charts {
 impl Charts {
     /// Derives the charts.
     pub fn new(topology: &Topology) -> Self {
-        let n = topology.len() / 3;
-        let mut of_face = vec![ChartId(u32::MAX); n];
-        let mut faces: Vec<Vec<FaceId>> = Vec::new();
-        let mut incident: Vec<[FaceId; 2]> = topology.incident_faces().flat_map(|[a, b]| [[a, b], [b, a]]).collect();
-        incident.sort_unstable();
-        let mut stack = Vec::new();
-        for seed in 0..n {
-            if of_face[seed].0 != u32::MAX {
-                continue;
+        let mut sets = DisjointSets::new(topology.len() / 3);
+        for h in topology.half_edges() {
+            if let Some(twin) = topology.uv_twin(h).filter(|twin| *twin > h) {
+                sets.unite(h.face().0, twin.face().0);
             }
-            let chart = ChartId::new(faces.len());
-            of_face[seed] = chart;
-            stack.push(seed);
-            let mut members = Vec::new();
-            while let Some(f) = stack.pop() {
-                let own = FaceId::new(f);
-                members.push(own);
-                let twins = (0..3).filter_map(|k| topology.uv_twin(HalfEdge::of(own, k))).map(HalfEdge::face);
-                let start = incident.partition_point(|p| p[0] < own);
-                let others = incident[start..].iter().take_while(|p| p[0] == own).map(|p| p[1]);
-                for g in twins.chain(others).map(FaceId::index) {
-                    if of_face[g].0 == u32::MAX {
-                        of_face[g] = chart;
-                        stack.push(g);
-                    }
-                }
-            }
-            members.sort_unstable();
-            faces.push(members);
         }
-        Charts { of_face, faces }
+        topology.incident_faces().for_each(|[f, g]| sets.unite(f.0, g.0));
+        let (of_face, faces) = sets.numbered();
+        let faces = faces.into_iter().map(|own| own.into_iter().map(FaceId).collect()).collect();
+        Charts { of_face: of_face.into_iter().map(ChartId).collect(), faces }
     }
 
     /// Number of charts.

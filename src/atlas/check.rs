@@ -8,9 +8,10 @@ use std::fmt;
 
 use glam::{DVec2, DVec3};
 
-use super::bvh::{Bounds, Bvh};
+use super::bvh::TriangleTree;
+use super::groups::DisjointSets;
 use super::overlap::{orientation, overlaps_where, penetration, triangles_overlap};
-use super::{Atlas, FaceId, UvId, find_root};
+use super::{Atlas, FaceId, UvId};
 
 /// How exactly UVs and positions are known.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -203,24 +204,19 @@ fn provenance(before: &Atlas, after: &Atlas) -> Vec<Violation> {
 fn overlapping_parts(after: &Atlas, group: &[FaceId]) -> Vec<Violation> {
     let flat = |f: &FaceId| after.provenance[f.index()].barycentric.map(|b| DVec2::new(b.x, b.y));
     let triangles: Vec<[DVec2; 3]> = group.iter().map(flat).collect();
-    let boxes: Vec<Bounds> = triangles.iter().map(|t| Bounds::of(t)).collect();
-    let tree = Bvh::new(&boxes);
-    let mut bad = Vec::new();
-    for (i, own) in triangles.iter().enumerate() {
-        tree.query(
-            &boxes[i],
-            0,
-            |_| true,
-            |p| {
-                let j = tree.order[p] as usize;
-                if j > i && penetration(own, &triangles[j]) > SLACK {
-                    bad.push(Violation::Parts(group[i], group[j]));
-                }
-                bad.len() < LIMIT
-            },
-        );
+    let TriangleTree { tree, triangles } = TriangleTree::new(&triangles);
+    let mut found = Vec::new();
+    for (p, own) in triangles.iter().enumerate() {
+        tree.query(&tree.bounds_at(p), p + 1, |q| {
+            if penetration(own, &triangles[q]) > SLACK {
+                let (i, j) = (tree.order[p], tree.order[q]);
+                found.push((i.min(j) as usize, i.max(j) as usize));
+            }
+            found.len() < LIMIT
+        });
     }
-    bad
+    found.sort_unstable();
+    found.into_iter().map(|(i, j)| Violation::Parts(group[i], group[j])).collect()
 }
 
 fn positions<'a>(before: &'a Atlas, after: &'a Atlas, exactness: Exactness) -> impl Iterator<Item = Violation> + 'a {
@@ -349,22 +345,11 @@ fn charts(atlas: &Atlas) -> Vec<Vec<FaceId>> {
         edges.extend((0..3).map(edge).map(|(a, b)| (a.min(b), a.max(b), f as u32)));
     }
     edges.sort_unstable();
-    let mut parent: Vec<u32> = (0..atlas.face_count() as u32).collect();
+    let mut sets = DisjointSets::new(atlas.face_count());
     for pair in edges.windows(2).filter(|w| (w[0].0, w[0].1) == (w[1].0, w[1].1)) {
-        let (a, b) = (find_root(&mut parent, pair[0].2), find_root(&mut parent, pair[1].2));
-        parent[a.max(b) as usize] = a.min(b);
+        sets.unite(pair[0].2, pair[1].2);
     }
-    let mut charts: Vec<Vec<FaceId>> = Vec::new();
-    let mut number = vec![usize::MAX; parent.len()];
-    for f in 0..parent.len() {
-        let root = find_root(&mut parent, f as u32) as usize;
-        if number[root] == usize::MAX {
-            number[root] = charts.len();
-            charts.push(Vec::new());
-        }
-        charts[number[root]].push(FaceId::new(f));
-    }
-    charts
+    sets.sets().into_iter().map(|own| own.into_iter().map(FaceId).collect()).collect()
 }
 
 /// By face: whether it lies against its chart's orientation.
@@ -383,7 +368,8 @@ fn folded(atlas: &Atlas) -> Vec<bool> {
     folded
 }
 
-fn triangle_area(t: &[DVec2; 3]) -> f64 {
+/// The area of a triangle.
+pub(crate) fn triangle_area(t: &[DVec2; 3]) -> f64 {
     0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()
 }
 

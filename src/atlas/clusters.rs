@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::bvh::{Bounds, Bvh};
+use super::groups::DisjointSets;
 use super::overlap::ChartBvhs;
 use super::{Atlas, ChartId, Charts};
 
@@ -27,53 +28,35 @@ pub struct Clusters {
     pub charts: Vec<Vec<ChartId>>,
 }
 
-impl Clusters {
-    /// Clusters from a label by chart; equal labels are together.
-    fn from_labels(label: &[u32]) -> Self {
-        let mut number = vec![u32::MAX; label.len()];
-        let mut of_chart = Vec::with_capacity(label.len());
-        let mut charts: Vec<Vec<ChartId>> = Vec::new();
-        for (chart, &l) in label.iter().enumerate() {
-            let own = &mut number[l as usize];
-            if *own == u32::MAX {
-                *own = charts.len() as u32;
-                charts.push(Vec::new());
-            }
-            of_chart.push(*own);
-            charts[*own as usize].push(ChartId::new(chart));
-        }
-        Clusters { of_chart, charts }
-    }
-}
-
 /// Joins charts that overlap, directly or through others ([`OverlapMode::Stack`]), or leaves each alone.
 pub fn clusters(atlas: &Atlas, charts: &Charts, mode: OverlapMode) -> Clusters {
-    let alone: Vec<u32> = (0..charts.len() as u32).collect();
-    match mode {
-        OverlapMode::Separate => Clusters::from_labels(&alone),
+    let mut sets = match mode {
+        OverlapMode::Separate => DisjointSets::new(charts.len()),
         OverlapMode::Stack => {
             let bodies = ChartBvhs::new(atlas, charts);
             let boxes: Vec<Bounds> = bodies.place.iter().map(|p| p.1).collect();
-            Clusters::from_labels(&components(&boxes, |a, b| bodies.overlap(a, b)))
+            components(&boxes, |a, b| bodies.overlap(a, b))
         }
-    }
+    };
+    let (of_chart, charts) = sets.numbered();
+    Clusters { of_chart, charts: charts.into_iter().map(|own| own.into_iter().map(ChartId).collect()).collect() }
 }
 
 /// Overlaps that one item looks for in one round.
 const HITS: usize = 4;
 
-/// Connected components of the overlap graph: by item, the smallest item that it hangs together with.
+/// Connected components of the overlap graph.
 ///
 /// In each round every item looks for a few neighbours outside its component among the later ones, all at once and against
 /// the components of the round before; subtrees that lie wholly in its component are not entered. So a
 /// stack of n equal items takes O(n log^2 n) and not n^2 tests, and the result does not depend on the order.
-pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> bool + Sync) -> Vec<u32> {
+pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> bool + Sync) -> DisjointSets {
     let tree = Bvh::new(boxes);
-    let mut parent: Vec<u32> = (0..boxes.len() as u32).collect();
+    let mut sets = DisjointSets::new(boxes.len());
     // By position in the tree.
     let mut open: Vec<u32> = (0..boxes.len() as u32).collect();
     while !open.is_empty() {
-        let label: Vec<u32> = (0..boxes.len() as u32).map(|i| find_root(&mut parent, i)).collect();
+        let label: Vec<u32> = (0..boxes.len() as u32).map(|i| sets.find(i)).collect();
         let by_position: Vec<u32> = tree.order.iter().map(|&i| label[i as usize]).collect();
         let common = tree.common_labels(&by_position);
         let hits: Vec<Vec<u32>> = open
@@ -82,7 +65,7 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
                 let i = tree.order[at as usize];
                 let own = label[i as usize];
                 let mut hits = Vec::new();
-                tree.query(
+                tree.query_nodes(
                     &boxes[i as usize],
                     at as usize + 1,
                     |node| common[node] != Some(own),
@@ -101,8 +84,7 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
         for (&at, hits) in open.iter().zip(&hits) {
             let i = tree.order[at as usize];
             for &j in hits {
-                let (a, b) = (find_root(&mut parent, i), find_root(&mut parent, j));
-                parent[a.max(b) as usize] = a.min(b);
+                sets.unite(i, j);
             }
             if hits.len() == HITS {
                 still.push(at);
@@ -110,16 +92,7 @@ pub(crate) fn components(boxes: &[Bounds], overlap: impl Fn(usize, usize) -> boo
         }
         open = still;
     }
-    (0..boxes.len() as u32).map(|i| find_root(&mut parent, i)).collect()
-}
-
-/// The smallest member of the set that `i` is in (union-find with path halving).
-pub(crate) fn find_root(parent: &mut [u32], mut i: u32) -> u32 {
-    while parent[i as usize] != i {
-        parent[i as usize] = parent[parent[i as usize] as usize];
-        i = parent[i as usize];
-    }
-    i
+    sets
 }
 
 #[cfg(test)]
@@ -140,14 +113,12 @@ mod tests {
             .collect();
         let atlas = soup(&triangles);
         let charts = Charts::new(&Topology::new(&atlas));
-        let mut expected: Vec<u32> = (0..300).collect();
+        let mut expected = DisjointSets::new(300);
         for (a, b) in overlapping_charts(&atlas, &charts) {
-            let (a, b) = (find_root(&mut expected, a.0), find_root(&mut expected, b.0));
-            expected[a.max(b) as usize] = a.min(b);
+            expected.unite(a.0, b.0);
         }
-        let expected: Vec<u32> = (0..300).map(|i| find_root(&mut expected, i)).collect();
         let found = clusters(&atlas, &charts, OverlapMode::Stack);
-        assert_eq!(found, Clusters::from_labels(&expected));
+        assert_eq!(found.of_chart, expected.numbered().0);
         assert!(found.charts.len() > 20 && found.charts.len() < 280, "both kinds occur");
         assert_eq!(clusters(&atlas, &charts, OverlapMode::Separate).charts.len(), charts.len());
     }

@@ -7,23 +7,16 @@ use std::sync::Arc;
 
 use glam::DVec2;
 
-use super::bvh::{Bounds, Bvh};
+use super::bvh::{Bounds, TriangleTree};
 use super::overlap::triangles_overlap;
 
 /// Triangles that are tested one by one before they are worth a tree.
 const LOOSE: usize = 24;
 
-#[derive(Debug)]
-struct Tree {
-    tree: Bvh,
-    /// By position in the tree.
-    triangles: Vec<[DVec2; 3]>,
-}
-
 /// The set. Cloning is cheap: trees are shared.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct DynamicTriangleSet {
-    trees: Vec<Arc<Tree>>,
+    trees: Vec<Arc<TriangleTree>>,
     loose: Vec<[DVec2; 3]>,
 }
 
@@ -38,9 +31,7 @@ impl DynamicTriangleSet {
         while let Some(last) = self.trees.pop_if(|last| last.triangles.len() < 2 * all.len()) {
             all.extend(&last.triangles);
         }
-        let tree = Bvh::new(&all.iter().map(|t| Bounds::of(t)).collect::<Vec<_>>());
-        let triangles = tree.order.iter().map(|&i| all[i as usize]).collect();
-        self.trees.push(Arc::new(Tree { tree, triangles }));
+        self.trees.push(Arc::new(TriangleTree::new(&all)));
     }
 
     /// Whether a triangle of the set for which `counts` holds overlaps `triangle`, and how many were looked at.
@@ -61,7 +52,7 @@ impl DynamicTriangleSet {
                 hit = counts(&part.triangles[p]) && triangles_overlap(&part.triangles[p], triangle);
                 !hit
             };
-            part.tree.query(&query, 0, |_| true, visit);
+            part.tree.query(&query, 0, visit);
             if hit {
                 break;
             }

@@ -2,16 +2,18 @@
 
 use glam::{DMat2, DVec2};
 
+use super::bvh::Bounds;
+use super::groups::sorted_unique;
 use super::{Atlas, Charts, FaceId, Provenance, Topology, UvId, VertexId};
 
-/// Where a chart goes: `uv' = linear * uv + translate` on sheet `page`.
+/// Where a chart, or a piece of several, goes: `uv' = linear * uv + translate` on sheet `page`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Move {
     /// Sheet.
     pub page: u16,
     /// Rotation, mirror and scale.
     pub linear: DMat2,
-    /// Translation in texels.
+    /// Translation in texels of the new sheet.
     pub translate: DVec2,
 }
 
@@ -61,8 +63,8 @@ impl Atlas {
     /// sources.
     pub(crate) fn subset(&self, faces: &[FaceId]) -> Atlas {
         let mut part = Atlas { sheets: self.sheets.clone(), ..Atlas::default() };
-        let uvs = sorted_ids(faces.iter().flat_map(|f| self.corners[f.index()]));
-        let vertices = sorted_ids(faces.iter().flat_map(|f| self.surface.triangles[f.index()]));
+        let uvs = sorted_unique(faces.iter().flat_map(|f| self.corners[f.index()]));
+        let vertices = sorted_unique(faces.iter().flat_map(|f| self.surface.triangles[f.index()]));
         part.uv = uvs.iter().map(|u| self.uv[u.index()]).collect();
         part.surface.positions = vertices.iter().map(|v| self.surface.positions[v.index()]).collect();
         for f in faces {
@@ -96,8 +98,8 @@ impl Atlas {
     /// were, they would seem to share texels with others.
     pub(crate) fn set_apart(&self, moved: &[bool], step: f64) -> Atlas {
         let charts = Charts::new(&Topology::new(self));
-        let points = || self.corners.iter().flatten().map(|u| self.uv[u.index()]).filter(|p| p.is_finite());
-        let high = points().fold(DVec2::ZERO, DVec2::max);
+        let points = self.corners.iter().flatten().map(|u| self.uv[u.index()]).filter(|p| p.is_finite());
+        let high = points.fold(DVec2::ZERO, DVec2::max);
         let mut x = (high.x / step).ceil() * step + step;
         let moves: Vec<_> = charts
             .faces
@@ -105,12 +107,11 @@ impl Atlas {
             .map(|faces| {
                 let mut by = DVec2::ZERO;
                 if faces.iter().any(|f| moved[f.index()]) {
-                    let own = || faces.iter().flat_map(|f| self.uv_triangle(*f)).filter(|p| p.is_finite());
-                    let low = own().fold(DVec2::INFINITY, DVec2::min);
-                    let high = own().fold(DVec2::NEG_INFINITY, DVec2::max);
-                    if low.is_finite() {
-                        by = DVec2::new(x - (low.x / step).floor() * step, -(low.y / step).floor() * step);
-                        x += ((high.x - low.x) / step).ceil() * step + 2.0 * step;
+                    let own = faces.iter().flat_map(|f| self.uv_triangle(*f)).filter(|p| p.is_finite());
+                    let Bounds { min, max } = Bounds::around(own);
+                    if min.is_finite() {
+                        by = DVec2::new(x - (min.x / step).floor() * step, -(min.y / step).floor() * step);
+                        x += ((max.x - min.x) / step).ceil() * step + 2.0 * step;
                     }
                 }
                 let page = faces.first().map_or(0, |f| self.page[f.index()]);
@@ -119,11 +120,4 @@ impl Atlas {
             .collect();
         self.moved(&charts, &moves, self.sheets.clone())
     }
-}
-
-fn sorted_ids<T: Ord>(ids: impl Iterator<Item = T>) -> Vec<T> {
-    let mut ids: Vec<T> = ids.collect();
-    ids.sort_unstable();
-    ids.dedup();
-    ids
 }

@@ -8,8 +8,9 @@ use glam::DVec2;
 use rayon::prelude::*;
 use robust::{Coord, orient2d};
 
-use super::bvh::{Bounds, Bvh};
+use super::bvh::{Bounds, Bvh, TriangleTree};
 use super::{Atlas, ChartId, Charts, FaceId};
+use crate::error::Result;
 
 /// Overlapping pairs of faces, each pair ascending, the pairs sorted.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -113,56 +114,64 @@ pub(crate) fn overlaps_where(
     let mut found = Vec::new();
     let mut truncated = false;
     for page in 0..page_count(atlas) {
-        let faces = faces_with_area(atlas, atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page));
-        let tree = Bvh::new(&faces.iter().map(|&f| Bounds::of(&atlas.uv_triangle(f))).collect::<Vec<_>>());
-        let sorted: Vec<FaceId> = tree.order.iter().map(|&i| faces[i as usize]).collect();
-        let triangles = turned(atlas, &sorted);
-        let blocks: Vec<usize> = (0..sorted.len()).step_by(BLOCK).collect();
-        for round in blocks.chunks(ROUND) {
+        let faces: Vec<FaceId> = atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page).collect();
+        let named = |(a, b): (u32, u32)| (faces[a as usize], faces[b as usize]);
+        let wanted = |pair| keep(named(pair).0, named(pair).1);
+        let blocks = overlaps_in_blocks(atlas, &faces, (TESTS_PER_FACE, limit), wanted, |pairs, cut| {
             let room = limit - found.len();
-            let parts: Vec<(Vec<(FaceId, FaceId)>, bool)> =
-                round.par_iter().map(|&b| block_pairs(&tree, &triangles, &sorted, b, room, &keep)).collect();
-            for (pairs, cut) in parts {
-                let room = limit - found.len();
-                truncated |= cut || pairs.len() > room;
-                found.extend(pairs.into_iter().take(room));
-            }
-        }
+            truncated |= cut || pairs.len() > room;
+            found.extend(pairs.into_iter().take(room).map(named));
+            Ok(true)
+        });
+        // Nothing fails where `visit` does not.
+        truncated |= blocks.is_err();
     }
     found.par_sort_unstable();
     (found, truncated)
 }
 
-/// The pairs of the faces at positions `start..start + BLOCK` with later ones; whether a limit was hit.
-fn block_pairs(
-    tree: &Bvh,
-    triangles: &[[DVec2; 3]],
+/// Calls `visit` for block after block of the pairs of faces of one page that overlap and that `keep` wants, each pair ascending, as
+/// positions in `faces`, in a fixed order; also with whether a limit on pair tests per face, or on the pairs of a block, cut the block short.
+/// Ends when `visit` says `false`, or fails.
+pub(crate) fn overlaps_in_blocks(
+    atlas: &Atlas,
     faces: &[FaceId],
-    start: usize,
-    limit: usize,
-    keep: &(impl Fn(FaceId, FaceId) -> bool + Sync),
-) -> (Vec<(FaceId, FaceId)>, bool) {
-    let mut pairs = Vec::new();
-    let mut tests = TESTS_PER_FACE * BLOCK;
-    for p in start..(start + BLOCK).min(faces.len()) {
-        tree.query(
-            &tree.bounds_at(p),
-            p + 1,
-            |_| true,
-            |q| {
+    (tests_per_face, pairs_per_block): (usize, usize),
+    keep: impl Fn((u32, u32)) -> bool + Sync,
+    mut visit: impl FnMut(Vec<(u32, u32)>, bool) -> Result<bool>,
+) -> Result<()> {
+    let solid: Vec<u32> = (0..faces.len() as u32).filter(|&i| has_area(atlas, faces[i as usize])).collect();
+    let own: Vec<FaceId> = solid.iter().map(|&i| faces[i as usize]).collect();
+    let TriangleTree { tree, triangles } = TriangleTree::new(&turned(atlas, &own));
+    let block_pairs = |&start: &usize| {
+        let mut pairs = Vec::new();
+        let mut tests = tests_per_face * BLOCK;
+        for p in start..(start + BLOCK).min(triangles.len()) {
+            tree.query(&tree.bounds_at(p), p + 1, |q| {
                 tests = tests.saturating_sub(1);
-                let pair = (faces[p].min(faces[q]), faces[p].max(faces[q]));
-                if turned_overlap(&triangles[p], &triangles[q]) && keep(pair.0, pair.1) {
+                let [a, b] = [p, q].map(|p| solid[tree.order[p] as usize]);
+                let pair = (a.min(b), a.max(b));
+                if turned_overlap(&triangles[p], &triangles[q]) && keep(pair) {
                     pairs.push(pair);
                 }
-                tests > 0 && pairs.len() <= limit
-            },
-        );
-        if tests == 0 || pairs.len() > limit {
-            return (pairs, true);
+                tests > 0 && pairs.len() <= pairs_per_block
+            });
+            if tests == 0 || pairs.len() > pairs_per_block {
+                return (pairs, true);
+            }
+        }
+        (pairs, false)
+    };
+    let blocks: Vec<usize> = (0..triangles.len()).step_by(BLOCK).collect();
+    for round in blocks.chunks(ROUND) {
+        let found: Vec<(Vec<(u32, u32)>, bool)> = round.par_iter().map(block_pairs).collect();
+        for (pairs, cut) in found {
+            if !visit(pairs, cut)? {
+                return Ok(());
+            }
         }
     }
-    (pairs, false)
+    Ok(())
 }
 
 /// Number of pages that faces lie on.
@@ -172,40 +181,28 @@ pub(crate) fn page_count(atlas: &Atlas) -> usize {
 
 /// Those faces whose UVs are finite and whose exact area is not zero.
 pub(crate) fn faces_with_area(atlas: &Atlas, faces: impl Iterator<Item = FaceId>) -> Vec<FaceId> {
-    faces
-        .filter(|&f| {
-            let [a, b, c] = atlas.uv_triangle(f);
-            a.is_finite() && b.is_finite() && c.is_finite() && orientation(a, b, c) != 0
-        })
-        .collect()
+    faces.filter(|&f| has_area(atlas, f)).collect()
+}
+
+fn has_area(atlas: &Atlas, face: FaceId) -> bool {
+    let [a, b, c] = atlas.uv_triangle(face);
+    a.is_finite() && b.is_finite() && c.is_finite() && orientation(a, b, c) != 0
 }
 
 /// The charts of an Atlas as bodies that can be tested against each other.
 pub(crate) struct ChartBvhs {
     /// By chart: page and bounding box of the faces with an area; empty charts lie on no page.
     pub place: Vec<(u16, Bounds)>,
-    trees: Vec<(Bvh, Vec<[DVec2; 3]>)>,
+    trees: Vec<TriangleTree>,
 }
 
 impl ChartBvhs {
     pub(crate) fn new(atlas: &Atlas, charts: &Charts) -> Self {
-        let trees: Vec<_> = charts
-            .faces
-            .par_iter()
-            .map(|faces| {
-                let faces = faces_with_area(atlas, faces.iter().copied());
-                let triangles = turned(atlas, &faces);
-                let tree = Bvh::new(&triangles.iter().map(|t| Bounds::of(t)).collect::<Vec<_>>());
-                let sorted = tree.order.iter().map(|&i| triangles[i as usize]).collect();
-                (tree, sorted)
-            })
-            .collect();
-        let place = charts
-            .faces
-            .iter()
-            .zip(&trees)
-            .map(|(faces, (tree, _))| (faces.first().map_or(0, |f| atlas.page[f.index()]), tree.bounds()))
-            .collect();
+        let tree =
+            |faces: &Vec<FaceId>| TriangleTree::new(&turned(atlas, &faces_with_area(atlas, faces.iter().copied())));
+        let trees: Vec<TriangleTree> = charts.faces.par_iter().map(tree).collect();
+        let page = |faces: &Vec<FaceId>| faces.first().map_or(0, |f| atlas.page[f.index()]);
+        let place = charts.faces.iter().zip(&trees).map(|(faces, own)| (page(faces), own.tree.bounds())).collect();
         ChartBvhs { place, trees }
     }
 
@@ -214,27 +211,16 @@ impl ChartBvhs {
         if self.place[a].0 != self.place[b].0 || !self.place[a].1.meets(&self.place[b].1) {
             return false;
         }
-        let (a, b) = if self.trees[a].1.len() <= self.trees[b].1.len() { (a, b) } else { (b, a) };
-        let (small, triangles) = &self.trees[a];
-        let (large, others) = &self.trees[b];
+        let (a, b) = (&self.trees[a], &self.trees[b]);
+        let (small, large) = if a.triangles.len() <= b.triangles.len() { (a, b) } else { (b, a) };
         let mut hit = false;
-        small.query(
-            &large.bounds(),
-            0,
-            |_| true,
-            |p| {
-                large.query(
-                    &small.bounds_at(p),
-                    0,
-                    |_| true,
-                    |q| {
-                        hit = turned_overlap(&triangles[p], &others[q]);
-                        !hit
-                    },
-                );
+        small.tree.query(&large.tree.bounds(), 0, |p| {
+            large.tree.query(&small.tree.bounds_at(p), 0, |q| {
+                hit = turned_overlap(&small.triangles[p], &large.triangles[q]);
                 !hit
-            },
-        );
+            });
+            !hit
+        });
         hit
     }
 }
@@ -249,18 +235,13 @@ pub fn overlapping_charts(atlas: &Atlas, charts: &Charts) -> Vec<(ChartId, Chart
         .flat_map_iter(|p| {
             let a = tree.order[p] as usize;
             let mut own = Vec::new();
-            tree.query(
-                &boxes[a],
-                p + 1,
-                |_| true,
-                |q| {
-                    let b = tree.order[q] as usize;
-                    if bodies.overlap(a, b) {
-                        own.push((ChartId::new(a.min(b)), ChartId::new(a.max(b))));
-                    }
-                    true
-                },
-            );
+            tree.query(&boxes[a], p + 1, |q| {
+                let b = tree.order[q] as usize;
+                if bodies.overlap(a, b) {
+                    own.push((ChartId::new(a.min(b)), ChartId::new(a.max(b))));
+                }
+                true
+            });
             own
         })
         .collect();

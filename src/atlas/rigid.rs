@@ -1,42 +1,29 @@
 //! Rigid motions of the plane, and the one that maps a polyline to another best.
 
-use glam::DVec2;
+use glam::{DAffine2, DMat2, DVec2};
 
-/// A turn and a shift: `p -> (cos p.x - sin p.y, sin p.x + cos p.y) + translate`. Never mirrors.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Rigid {
-    pub cos: f64,
-    pub sin: f64,
-    pub translate: DVec2,
+/// A turn and a shift, never a mirror.
+pub(crate) type Rigid = DAffine2;
+
+/// The motion back. The inverse of a turn is its transpose, to the last digit.
+pub(crate) fn back(motion: &Rigid) -> Rigid {
+    let turn = motion.matrix2.transpose();
+    Rigid { matrix2: turn, translation: -(turn * motion.translation) }
 }
 
-impl Rigid {
-    pub(crate) const IDENTITY: Rigid = Rigid { cos: 1.0, sin: 0.0, translate: DVec2::ZERO };
+/// The turn by quarters that is nearest to that of a motion.
+pub(crate) fn nearest_quarter_turn(motion: &Rigid) -> DMat2 {
+    let turn = motion.matrix2.x_axis;
+    let nearest = match turn.x.abs() >= turn.y.abs() {
+        true => DVec2::new(turn.x.signum(), 0.0),
+        false => DVec2::new(0.0, turn.y.signum()),
+    };
+    DMat2::from_cols(nearest, nearest.perp())
+}
 
-    /// Where `p` goes.
-    pub(crate) fn apply(&self, p: DVec2) -> DVec2 {
-        self.turn(p) + self.translate
-    }
-
-    /// Where the direction `d` goes.
-    pub(crate) fn turn(&self, d: DVec2) -> DVec2 {
-        DVec2::new(self.cos * d.x - self.sin * d.y, self.sin * d.x + self.cos * d.y)
-    }
-
-    /// This motion after `first`.
-    pub(crate) fn after(&self, first: &Rigid) -> Rigid {
-        Rigid {
-            cos: self.cos * first.cos - self.sin * first.sin,
-            sin: self.sin * first.cos + self.cos * first.sin,
-            translate: self.apply(first.translate),
-        }
-    }
-
-    /// The motion back.
-    pub(crate) fn inverse(&self) -> Rigid {
-        let back = Rigid { cos: self.cos, sin: -self.sin, translate: DVec2::ZERO };
-        Rigid { translate: -back.turn(self.translate), ..back }
-    }
+/// The motion with this turn whose shift, to the nearest multiple of `unit`, is this one.
+pub(crate) fn on_multiples(turn: DMat2, shift: DVec2, unit: f64) -> Rigid {
+    Rigid { matrix2: turn, translation: (shift / unit).round() * unit }
 }
 
 /// Sums over point pairs from which the best motion follows: pairs can be added one by one at constant cost. Points are taken
@@ -69,8 +56,8 @@ impl RigidFit {
         let (p, q) = (self.from / self.count, self.to / self.count);
         let turn = DVec2::new(self.dot - self.count * p.dot(q), self.cross - self.count * p.perp_dot(q));
         let turn = turn.try_normalize()?;
-        let motion = Rigid { cos: turn.x, sin: turn.y, translate: DVec2::ZERO };
-        Some(Rigid { translate: origin.1 + q - motion.turn(origin.0 + p), ..motion })
+        let matrix2 = DMat2::from_cols(turn, turn.perp());
+        Some(Rigid { matrix2, translation: origin.1 + q - matrix2 * (origin.0 + p) })
     }
 }
 
@@ -82,7 +69,7 @@ pub(crate) fn fit_rigid(pairs: &[(DVec2, DVec2)]) -> Option<(Rigid, f64)> {
         fit.add(from, to);
     }
     let motion = fit.solve()?;
-    let residual = pairs.iter().map(|&(from, to)| motion.apply(from).distance(to)).fold(0.0, f64::max);
+    let residual = pairs.iter().map(|&(from, to)| motion.transform_point2(from).distance(to)).fold(0.0, f64::max);
     residual.is_finite().then_some((motion, residual))
 }
 
@@ -96,14 +83,14 @@ mod tests {
         let mut rng = Rng(5);
         for _ in 0..100 {
             let angle = rng.unit() * std::f64::consts::TAU;
-            let motion = Rigid { cos: angle.cos(), sin: angle.sin(), translate: rng.point(4096.0) };
+            let motion = Rigid::from_angle_translation(angle, rng.point(4096.0));
             let points: Vec<DVec2> = (0..9).map(|_| rng.point(4096.0)).collect();
-            let pairs: Vec<_> = points.iter().map(|&p| (p, motion.apply(p))).collect();
+            let pairs: Vec<_> = points.iter().map(|&p| (p, motion.transform_point2(p))).collect();
             let (found, residual) = fit_rigid(&pairs).unwrap();
             assert!(residual < 1e-9, "{residual}");
-            assert!((found.cos - motion.cos).abs() + (found.sin - motion.sin).abs() < 1e-12);
+            assert!((found.matrix2 - motion.matrix2).abs_diff_eq(DMat2::ZERO, 1e-12));
             for &(p, q) in &pairs {
-                assert!(found.inverse().apply(q).distance(p) < 1e-8);
+                assert!(back(&found).transform_point2(q).distance(p) < 1e-8);
             }
             let mirrored: Vec<_> = points.iter().map(|&p| (p, DVec2::new(-p.x, p.y))).collect();
             assert!(fit_rigid(&mirrored).is_none_or(|f| f.1 > 1.0));

@@ -100,7 +100,8 @@ pub(crate) fn rigid_seams(atlas: &Atlas, topology: &Topology, run: &SeamRun, tol
         while end < run.edges.len() {
             let [(p, q), (r, s)] = ends(run.edges[end]);
             let same_length = (p.distance(r) - q.distance(s)).abs() <= 2.0 * tolerance;
-            let predicted = end == start || fit.solve().is_none_or(|m| m.apply(r).distance(s) <= 4.0 * tolerance);
+            let predicted =
+                end == start || fit.solve().is_none_or(|m| m.transform_point2(r).distance(s) <= 4.0 * tolerance);
             let finite = [p, q, r, s].iter().all(|point| point.is_finite());
             if !(same_length && predicted && finite) {
                 break;

@@ -85,3 +85,11 @@ pub(crate) fn half_edges_where(atlas: &Atlas, holds: impl Fn(DVec2, DVec2) -> bo
     let all = (0..3 * atlas.face_count()).map(HalfEdge::new);
     all.filter(|h| holds(ends(*h)[0], ends(*h)[1])).collect()
 }
+
+/// Number of surface edges with more than two faces.
+pub(crate) fn non_manifold_edges(atlas: &Atlas) -> usize {
+    let edge = |t: &[VertexId; 3], k: usize| (t[k].min(t[(k + 1) % 3]), t[k].max(t[(k + 1) % 3]));
+    let mut edges: Vec<_> = atlas.surface.triangles.iter().flat_map(|t| [0, 1, 2].map(|k| edge(t, k))).collect();
+    edges.sort_unstable();
+    edges.chunk_by(|a, b| a == b).filter(|same| same.len() > 2).count()
+}

@@ -1,8 +1,9 @@
 //! Which face lies across which edge. Topology knows no positions.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
-use super::{Atlas, FaceId, HalfEdge, UvId, VertexId};
+use super::groups::{Grouped, sorted_unique};
+use super::{Atlas, FaceId, HalfEdge, UvId};
 
 /// Adjacency of an Atlas' faces, in UV and on the surface.
 ///
@@ -17,8 +18,6 @@ pub struct Topology {
     /// By half edge: the half edge across on the welded surface, or [`HalfEdge::NONE`] at the mesh boundary.
     /// Where `uv_twin` is one, both agree.
     surface_twin: Vec<HalfEdge>,
-    /// Surface edges with more than two faces, ends ascending.
-    non_manifold: BTreeSet<(VertexId, VertexId)>,
     /// By UV edge with more than two faces, ends ascending: pairs of neighbours among them. They hang together though
     /// `uv_twin` may not say so: a chart is all faces that share UV edges. An edge without length, the only kind that a triangle
     /// collapsed to a point has, counts here from two faces on.
@@ -36,13 +35,8 @@ impl Topology {
             let pairs = own.pair_in_uv(run);
             own.set_incident((UvId(run[0].0), UvId(run[0].1)), pairs);
         }
-        let mut points: Vec<(UvId, FaceId)> = (0..n as u32)
-            .map(|h| (ends(&atlas.corners, HalfEdge(h)), HalfEdge(h).face()))
-            .filter(|(ends, _)| ends[0] == ends[1])
-            .map(|(ends, face)| (ends[0], face))
-            .collect();
-        points.sort_unstable();
-        points.dedup();
+        let collapsed = own.half_edges().map(|h| (ends(&atlas.corners, h), h.face())).filter(|(e, _)| e[0] == e[1]);
+        let points: Vec<(UvId, FaceId)> = sorted_unique(collapsed.map(|(ends, face)| (ends[0], face)));
         for run in points.chunk_by(|a, b| a.0 == b.0) {
             own.set_incident((run[0].0, run[0].0), neighbours(run.iter().map(|p| p.1)));
         }
@@ -50,7 +44,6 @@ impl Topology {
         let keys = sorted_edges(n, |h| ends(&atlas.surface.triangles, h).map(|v| v.0));
         for run in keys.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
             own.pair_on_surface(run);
-            own.set_non_manifold((VertexId(run[0].0), VertexId(run[0].1)), run.len() > 2);
         }
         own
     }
@@ -93,11 +86,6 @@ impl Topology {
     /// Whether the edge is a seam.
     pub fn is_seam(&self, half_edge: HalfEdge) -> bool {
         self.across_seam(half_edge).is_some()
-    }
-
-    /// Number of surface edges with more than two faces.
-    pub fn non_manifold_edges(&self) -> usize {
-        self.non_manifold.len()
     }
 
     /// Pairs of faces that share a UV edge with more than two faces (or one without length): they are of one chart even where no
@@ -170,15 +158,6 @@ impl Topology {
             None
         }
     }
-
-    /// Sets whether a surface edge has more than two faces, ends ascending; gives whether that is a change.
-    pub(super) fn set_non_manifold(&mut self, edge: (VertexId, VertexId), is: bool) -> bool {
-        if is {
-            self.non_manifold.insert(edge)
-        } else {
-            !self.non_manifold.is_empty() && self.non_manifold.remove(&edge)
-        }
-    }
 }
 
 /// The two ends of a half edge, of faces given by their corners.
@@ -210,22 +189,7 @@ fn sorted_edges(n: usize, ends: impl Fn(HalfEdge) -> [u32; 2]) -> Vec<Key> {
         keys.sort_unstable();
         return keys;
     }
-    // Where the edges of each vertex end, once they are placed.
-    let mut ends = vec![0; vertices + 1];
-    for key in &keys {
-        ends[key.0 as usize + 1] += 1;
-    }
-    let mut sum = 0;
-    for end in &mut ends {
-        sum += *end;
-        *end = sum;
-    }
-    let mut all = vec![(0, 0, false, HalfEdge(0)); keys.len()];
-    for key in keys {
-        let place = &mut ends[key.0 as usize];
-        all[*place] = key;
-        *place += 1;
-    }
+    let mut all = Grouped::new(vertices, keys.iter().map(|key| (key.0, *key))).into_items();
     all.chunk_by_mut(|a, b| a.0 == b.0).for_each(|own| own.sort_unstable());
     all
 }

@@ -2,9 +2,9 @@
 
 use glam::DVec2;
 
-use super::cholesky::{Cholesky, Symmetric};
+use super::cholesky::Cholesky;
 use super::energy::jacobian;
-use crate::atlas::find_root;
+use crate::atlas::groups::DisjointSets;
 
 /// Weight of the edges of triangles without a shape: they follow the others.
 const LOOSE: f64 = 1e-4;
@@ -46,21 +46,22 @@ impl<'a> Arap<'a> {
                 rows += 1;
             }
         }
-        let mut matrix = Symmetric::new(rows);
+        let mut diagonal = vec![0.0; rows];
+        let mut entries = Vec::new();
         for (t, w) in patch.triangles.iter().zip(&weights) {
             for k in 0..3 {
                 let (i, j) = (row[t[k] as usize], row[t[(k + 1) % 3] as usize]);
                 for end in [i, j].into_iter().flatten() {
-                    matrix.add_diagonal(end as usize, w[k]);
+                    diagonal[end as usize] += w[k];
                 }
                 if let (Some(i), Some(j)) = (i, j)
                     && i != j
                 {
-                    matrix.add(i as usize, j as usize, -w[k]);
+                    entries.push((i.min(j), i.max(j), -w[k]));
                 }
             }
         }
-        let factor = Cholesky::new(&matrix)?;
+        let factor = Cholesky::new(&diagonal, &entries)?;
         Some(Arap { patch, weights, row, factor })
     }
 
@@ -129,20 +130,18 @@ fn weights(rest: &[DVec2; 3]) -> [f64; 3] {
 
 /// Vertices that stay: those that must, and one of each connected part that would have none.
 fn held(patch: &Patch<'_>) -> Vec<bool> {
-    let mut parent: Vec<u32> = (0..patch.free.len() as u32).collect();
+    let mut parts = DisjointSets::new(patch.free.len());
     for t in patch.triangles {
-        for v in [t[1], t[2]] {
-            let (a, b) = (find_root(&mut parent, t[0]), find_root(&mut parent, v));
-            parent[a.max(b) as usize] = a.min(b);
-        }
+        parts.unite(t[0], t[1]);
+        parts.unite(t[0], t[2]);
     }
     let mut held: Vec<bool> = patch.free.iter().map(|f| !f).collect();
     let mut has = vec![false; held.len()];
     for (v, held) in held.iter().enumerate() {
-        has[find_root(&mut parent, v as u32) as usize] |= held;
+        has[parts.find(v as u32) as usize] |= held;
     }
     for (v, held) in held.iter_mut().enumerate() {
-        *held |= !std::mem::replace(&mut has[find_root(&mut parent, v as u32) as usize], true);
+        *held |= !std::mem::replace(&mut has[parts.find(v as u32) as usize], true);
     }
     held
 }

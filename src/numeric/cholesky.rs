@@ -5,30 +5,7 @@
 
 use glam::DVec2;
 
-/// A symmetric matrix as sums of entries.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Symmetric {
-    diagonal: Vec<f64>,
-    /// (row, column, value) with row < column, each standing for both triangles.
-    entries: Vec<(u32, u32, f64)>,
-}
-
-impl Symmetric {
-    /// The zero matrix of size n.
-    pub(crate) fn new(n: usize) -> Self {
-        Symmetric { diagonal: vec![0.0; n], entries: Vec::new() }
-    }
-
-    /// Adds to a diagonal entry.
-    pub(crate) fn add_diagonal(&mut self, i: usize, value: f64) {
-        self.diagonal[i] += value;
-    }
-
-    /// Adds to the entries (i, j) and (j, i), i != j.
-    pub(crate) fn add(&mut self, i: usize, j: usize, value: f64) {
-        self.entries.push((i.min(j) as u32, i.max(j) as u32, value));
-    }
-}
+use crate::atlas::groups::{Grouped, sorted_unique};
 
 /// The factor of a symmetric positive definite matrix.
 #[derive(Debug, Clone)]
@@ -44,10 +21,12 @@ pub(crate) struct Cholesky {
 }
 
 impl Cholesky {
-    /// Factors the matrix; `None` where a pivot is not positive.
-    pub(crate) fn new(matrix: &Symmetric) -> Option<Self> {
-        let n = matrix.diagonal.len();
-        let order = reverse_cuthill_mckee(&Graph::new(n, &matrix.entries));
+    /// Factors the matrix with this diagonal and sums of `entries`: (row, column, value) with row < column, each standing for both
+    /// triangles. `None` where a pivot is not positive.
+    pub(crate) fn new(diagonal: &[f64], entries: &[(u32, u32, f64)]) -> Option<Self> {
+        let n = diagonal.len();
+        let pairs = sorted_unique(entries.iter().flat_map(|&(i, j, _)| [(i, j), (j, i)]));
+        let order = reverse_cuthill_mckee(n, &Grouped::new(n, pairs.into_iter()));
         let mut place = vec![0u32; n];
         order.iter().enumerate().for_each(|(new, &old)| place[old as usize] = new as u32);
         let lower = |&(i, j, v): &(u32, u32, f64)| {
@@ -55,16 +34,16 @@ impl Cholesky {
             (p.max(q) as usize, p.min(q), v)
         };
         let mut first: Vec<u32> = (0..n as u32).collect();
-        for (row, column, _) in matrix.entries.iter().map(lower) {
+        for (row, column, _) in entries.iter().map(lower) {
             first[row] = first[row].min(column);
         }
         let mut start = vec![0; n + 1];
         (0..n).for_each(|k| start[k + 1] = start[k] + k - first[k] as usize);
         let mut values = vec![0.0; start[n]];
-        for (row, column, v) in matrix.entries.iter().map(lower) {
+        for (row, column, v) in entries.iter().map(lower) {
             values[start[row] + (column - first[row]) as usize] += v;
         }
-        let mut pivots: Vec<f64> = order.iter().map(|&old| matrix.diagonal[old as usize]).collect();
+        let mut pivots: Vec<f64> = order.iter().map(|&old| diagonal[old as usize]).collect();
         for k in 0..n {
             let (done, row) = values.split_at_mut(start[k]);
             let (from, row) = (first[k] as usize, &mut row[..start[k + 1] - start[k]]);
@@ -136,31 +115,9 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
 
-/// Neighbours of each row.
-struct Graph {
-    start: Vec<usize>,
-    to: Vec<u32>,
-}
-
-impl Graph {
-    fn new(n: usize, entries: &[(u32, u32, f64)]) -> Self {
-        let mut pairs: Vec<(u32, u32)> = entries.iter().flat_map(|&(i, j, _)| [(i, j), (j, i)]).collect();
-        pairs.sort_unstable();
-        pairs.dedup();
-        let mut start = vec![0; n + 1];
-        pairs.iter().for_each(|p| start[p.0 as usize + 1] += 1);
-        (0..n).for_each(|i| start[i + 1] += start[i]);
-        Graph { start, to: pairs.into_iter().map(|p| p.1).collect() }
-    }
-
-    fn of(&self, i: u32) -> &[u32] {
-        &self.to[self.start[i as usize]..self.start[i as usize + 1]]
-    }
-}
-
-/// Old index by new: breadth first from an end of each component, few neighbours first, and all of it backwards.
-fn reverse_cuthill_mckee(graph: &Graph) -> Vec<u32> {
-    let n = graph.start.len() - 1;
+/// Old index by new: breadth first from an end of each component, few neighbours first, and all of it backwards. `graph` holds the
+/// neighbours of each of `n` rows.
+fn reverse_cuthill_mckee(n: usize, graph: &Grouped<u32>) -> Vec<u32> {
     let mut order: Vec<u32> = Vec::with_capacity(n);
     let mut taken = vec![false; n];
     // Round in which a search from an end saw the row.
@@ -214,40 +171,42 @@ mod tests {
     use super::*;
     use crate::atlas::testing::Rng;
 
+    type Entries = Vec<(u32, u32, f64)>;
+
     /// The Laplacian of a random graph with something on the diagonal, and the same as a full matrix.
-    fn random(n: usize, edges: usize, rng: &mut Rng) -> (Symmetric, Vec<Vec<f64>>) {
-        let mut matrix = Symmetric::new(n);
+    fn random(n: usize, edges: usize, rng: &mut Rng) -> (Vec<f64>, Entries, Vec<Vec<f64>>) {
+        let (mut diagonal, mut entries) = (vec![0.0; n], Vec::new());
         let mut full = vec![vec![0.0; n]; n];
         for (i, row) in full.iter_mut().enumerate() {
             let value = 0.01 + rng.unit();
-            matrix.add_diagonal(i, value);
+            diagonal[i] += value;
             row[i] += value;
         }
         for _ in 0..edges {
             let (i, j) = (rng.next() as usize % n, rng.next() as usize % n);
             let w = rng.unit();
             if i != j {
-                matrix.add(i, j, -w);
-                matrix.add_diagonal(i, w);
-                matrix.add_diagonal(j, w);
+                entries.push((i.min(j) as u32, i.max(j) as u32, -w));
+                diagonal[i] += w;
+                diagonal[j] += w;
                 full[i][j] -= w;
                 full[j][i] -= w;
                 full[i][i] += w;
                 full[j][j] += w;
             }
         }
-        (matrix, full)
+        (diagonal, entries, full)
     }
 
     #[test]
     fn the_solution_solves_the_system() {
         let mut rng = Rng(3);
         for n in [1, 2, 7, 40, 150] {
-            let (matrix, full) = random(n, 3 * n, &mut rng);
+            let (diagonal, entries, full) = random(n, 3 * n, &mut rng);
             let expected: Vec<DVec2> = (0..n).map(|_| rng.point(10.0)).collect();
             let times = |row: &Vec<f64>| row.iter().zip(&expected).map(|(a, x)| *a * *x).sum::<DVec2>();
             let mut b: Vec<DVec2> = full.iter().map(times).collect();
-            Cholesky::new(&matrix).expect("positive definite").solve(&mut b);
+            Cholesky::new(&diagonal, &entries).expect("positive definite").solve(&mut b);
             let worst = b.iter().zip(&expected).map(|(x, y)| x.distance(*y)).fold(0.0, f64::max);
             assert!(worst < 1e-9, "{n}: {worst}");
         }
@@ -255,11 +214,7 @@ mod tests {
 
     #[test]
     fn a_matrix_that_is_not_positive_definite_is_refused() {
-        let mut matrix = Symmetric::new(2);
-        matrix.add_diagonal(0, 1.0);
-        matrix.add_diagonal(1, 1.0);
-        matrix.add(0, 1, -2.0);
-        assert!(Cholesky::new(&matrix).is_none());
-        assert!(Cholesky::new(&Symmetric::new(3)).is_none());
+        assert!(Cholesky::new(&[1.0, 1.0], &[(0, 1, -2.0)]).is_none());
+        assert!(Cholesky::new(&[0.0; 3], &[]).is_none());
     }
 }

@@ -2,6 +2,8 @@
 
 use glam::DVec2;
 
+use crate::atlas::groups::{Grouped, sorted_unique};
+
 /// Sweeps over the vertices of inverted triangles.
 const SWEEPS: usize = 16;
 /// Sweeps after which there should be fewer of them than ever: what succeeds does so soon.
@@ -25,8 +27,8 @@ pub(crate) fn repair_inversions(
         let [a, b, c] = t.map(|v| positions[v as usize]);
         if area > 0.0 { least * area - 0.5 * (b - a).perp_dot(c - a) } else { f64::NEG_INFINITY }
     };
-    let stars = incident_triangles(triangles, free.len());
-    let star = |v: u32| &stars.1[stars.0[v as usize]..stars.0[v as usize + 1]];
+    let corners = triangles.iter().flatten().enumerate();
+    let stars = Grouped::new(free.len(), corners.map(|(corner, &v)| (v, corner as u32 / 3)));
     let mut wrong: Vec<u32> = (0..triangles.len() as u32).collect();
     // The fewest so far, and when that was.
     let mut fewest = (usize::MAX, 0);
@@ -40,13 +42,11 @@ pub(crate) fn repair_inversions(
         } else if sweep > fewest.1 + PATIENCE {
             return false;
         }
-        let mut vertices: Vec<u32> =
-            wrong.iter().flat_map(|&i| triangles[i as usize]).filter(|v| free[*v as usize]).collect();
-        vertices.sort_unstable();
-        vertices.dedup();
+        let corners = wrong.iter().flat_map(|&i| triangles[i as usize]);
+        let vertices: Vec<u32> = sorted_unique(corners.filter(|v| free[*v as usize]));
         let mut moved = false;
         for &v in &vertices {
-            let own = star(v);
+            let own = stars.of(v);
             let start = positions[v as usize];
             let worst = |positions: &[DVec2]| {
                 own.iter()
@@ -80,30 +80,9 @@ pub(crate) fn repair_inversions(
         if !moved {
             return false;
         }
-        wrong.sort_unstable();
-        wrong.dedup();
+        wrong = sorted_unique(wrong);
     }
     wrong.iter().all(|&i| deficit(&triangles[i as usize], areas[i as usize], positions) <= 0.0)
-}
-
-/// The triangles incident to each vertex: where they start in the list, and the list.
-fn incident_triangles(triangles: &[[u32; 3]], vertices: usize) -> (Vec<usize>, Vec<u32>) {
-    let mut starts = vec![0; vertices + 1];
-    for v in triangles.iter().flatten() {
-        starts[*v as usize + 1] += 1;
-    }
-    for v in 0..vertices {
-        starts[v + 1] += starts[v];
-    }
-    let mut next = starts.clone();
-    let mut list = vec![0; starts[vertices]];
-    for (i, t) in triangles.iter().enumerate() {
-        for v in t {
-            list[next[*v as usize]] = i as u32;
-            next[*v as usize] += 1;
-        }
-    }
-    (starts, list)
 }
 
 #[cfg(test)]

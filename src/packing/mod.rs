@@ -22,16 +22,21 @@ mod sheet;
 mod tests;
 mod tuning;
 
-use glam::{DMat2, DVec2};
+use glam::DVec2;
 
+use crate::atlas::Move;
+use crate::atlas::bvh::Bounds;
 pub use fit::{Fitted, pack_into};
-pub(crate) use greedy::{PlacementRule, Plan, StripLayout, greedy};
+pub(crate) use greedy::{Plan, StripLayout, greedy};
 pub use guided::InitialLayout;
 pub(crate) use mask::Mask;
 pub(crate) use occupancy::{Pitch, Probe};
 pub use options::{Gutter, Pack, PackSearch, Rotation};
 pub use orientation::Orientation;
+pub(crate) use orientation::l1_norm;
+pub(crate) use outline::fill;
 pub(crate) use random::Random;
+pub(crate) use search::RULES;
 pub use search::pack;
 pub(crate) use shape::{Shape, Shapes};
 
@@ -52,15 +57,8 @@ pub struct Piece {
 impl Piece {
     /// Diagonal of the bounding box, in texels.
     fn diagonal(&self) -> f64 {
-        let (low, high) = corners(self.triangles.iter().flatten().copied());
-        (high - low).length()
+        Bounds::of(self.triangles.iter().flatten()).or_zero().size().length()
     }
-}
-
-/// Corners of the bounding box of points; of none, twice the origin.
-fn corners(points: impl Iterator<Item = DVec2>) -> (DVec2, DVec2) {
-    let (low, high) = points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
-    if low.is_finite() { (low, high) } else { (DVec2::ZERO, DVec2::ZERO) }
 }
 
 /// Distances that placement keeps, in reference texels.
@@ -148,22 +146,11 @@ impl Rounding {
     }
 }
 
-/// Where a piece went: `uv' = linear * uv + translate` on sheet `page`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Placement {
-    /// Sheet.
-    pub page: u16,
-    /// Rotation, mirror and scale.
-    pub linear: DMat2,
-    /// Translation in texels of the new sheet.
-    pub translate: DVec2,
-}
-
 /// A packing of all pieces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Packing {
     /// By piece.
-    pub placements: Vec<Placement>,
+    pub placements: Vec<Move>,
     /// Sides of each sheet in texels, margins included, rounded as asked.
     pub sheets: Vec<[f64; 2]>,
     /// Words of occupancy looked at: the unit of work.

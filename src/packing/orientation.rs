@@ -2,7 +2,8 @@
 
 use glam::{DMat2, DVec2};
 
-use super::{Piece, corners};
+use super::Piece;
+use crate::atlas::bvh::Bounds;
 use crate::packing::Rotation;
 
 /// A rotation, after an optional mirroring of x.
@@ -28,34 +29,24 @@ impl Orientation {
     }
 }
 
-/// How many angles within a quarter turn to try, where any rotation is allowed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Angles {
-    /// The piece's best axes.
-    Axes,
-    /// The best axes, so many more, evenly spread, and where that is more than one, the tightest box and upright as it is.
-    Several(u32),
-}
-
 /// Most angles beside the best axes of a piece that is free where others keep to quarter turns.
 const FREE_ANGLES: u32 = 3;
 
 /// The orientations to try for a piece: quarter turns, and where any rotation is allowed or the piece is free its own best axes (Box
-/// Cutter, 3.2.1: least L1 norm of the boundary's directions) and more angles.
-pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, angles: Angles) -> Vec<Orientation> {
+/// Cutter, 3.2.1: least L1 norm of the boundary's directions) and `more` angles, evenly spread, and where that is more than one, the
+/// tightest box and upright as it is.
+pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, more: u32) -> Vec<Orientation> {
     use std::f64::consts::FRAC_PI_2;
     let mut within = vec![0.0];
     let free = piece.free && rotation == Rotation::Quarter;
     if rotation == Rotation::Any || free {
         let axes = best_axes(piece);
         within = vec![axes];
-        if let Angles::Several(more) = angles {
-            let more = if free { more.min(FREE_ANGLES) } else { more };
-            if more > 1 {
-                within.extend([0.0, tightest_box(piece)].into_iter().filter(|a| (a - axes).abs() > 1e-5));
-            }
-            within.extend((1..=more).map(|k| (axes + FRAC_PI_2 * f64::from(k) / f64::from(more + 1)) % FRAC_PI_2));
+        let more = if free { more.min(FREE_ANGLES) } else { more };
+        if more > 1 {
+            within.extend([0.0, tightest_box(piece)].into_iter().filter(|a| (a - axes).abs() > 1e-5));
         }
+        within.extend((1..=more).map(|k| (axes + FRAC_PI_2 * f64::from(k) / f64::from(more + 1)) % FRAC_PI_2));
     }
     let quarters = if rotation == Rotation::None { 1 } else { 4 };
     let mut all = Vec::new();
@@ -73,13 +64,16 @@ pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, angl
 /// L1 norm is least. Searched on a grid of one degree, then by golden section.
 pub(crate) fn best_axes(piece: &Piece) -> f64 {
     use std::f64::consts::FRAC_PI_2;
-    let cost = |angle: f64| -> f64 {
-        let (sin, cos) = angle.sin_cos();
-        piece.border.iter().map(|d| (d.x * cos - d.y * sin).abs() + (d.x * sin + d.y * cos).abs()).sum()
-    };
+    let cost = |angle: f64| l1_norm(&piece.border, angle);
     let found = least(cost, FRAC_PI_2 / 90.0);
     // Axis-aligned pieces stay exactly so.
     if cost(0.0) <= cost(found) * (1.0 + 1e-9) { 0.0 } else { found.rem_euclid(FRAC_PI_2) }
+}
+
+/// The L1 norm of vectors turned by an angle: the least, the more of them lie along the axes.
+pub(crate) fn l1_norm(vectors: &[DVec2], angle: f64) -> f64 {
+    let (sin, cos) = angle.sin_cos();
+    vectors.iter().map(|d| (d.x * cos - d.y * sin).abs() + (d.x * sin + d.y * cos).abs()).sum()
 }
 
 /// The angle in 0..pi/2 at which the piece's bounding box is smallest. Searched on a grid of one degree, then by golden section.
@@ -88,8 +82,8 @@ fn tightest_box(piece: &Piece) -> f64 {
     let points = hull(piece.triangles.iter().flatten().copied().collect());
     let area = |angle: f64| -> f64 {
         let (sin, cos) = angle.sin_cos();
-        let (low, high) = corners(points.iter().map(|p| DVec2::new(p.x * cos - p.y * sin, p.x * sin + p.y * cos)));
-        (high - low).element_product()
+        let turned = points.iter().map(|p| DVec2::new(p.x * cos - p.y * sin, p.x * sin + p.y * cos));
+        Bounds::around(turned).or_zero().size().element_product()
     };
     least(area, FRAC_PI_2 / 90.0).rem_euclid(FRAC_PI_2)
 }
@@ -164,7 +158,7 @@ mod tests {
             let quarters = o.angle / std::f64::consts::FRAC_PI_2;
             (quarters - quarters.round()).abs() < 1e-12
         };
-        let of = |piece, rotation| orientations(piece, rotation, false, Angles::Several(11));
+        let of = |piece, rotation| orientations(piece, rotation, false, 11);
         assert!(of(&bound, Rotation::Quarter).iter().all(quarter));
         let axes = best_axes(&free);
         let turned = of(&free, Rotation::Quarter);
@@ -176,7 +170,7 @@ mod tests {
     #[test]
     fn quarter_turns_are_exact() {
         let piece = Piece::default();
-        let all = orientations(&piece, Rotation::Quarter, true, Angles::Axes);
+        let all = orientations(&piece, Rotation::Quarter, true, 0);
         assert_eq!(all.len(), 8);
         for o in all {
             assert!(o.matrix().to_cols_array().iter().all(|x| [-1.0, 0.0, 1.0].contains(x)));

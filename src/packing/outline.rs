@@ -2,9 +2,10 @@
 
 use glam::{DMat2, DVec2};
 
+use super::Piece;
 use super::mask::{Mask, on_border};
 use super::shape::frame;
-use super::{Piece, corners};
+use crate::atlas::bvh::Bounds;
 
 /// A piece's directed border, and the triangles that do not turn the way most do.
 #[derive(Debug)]
@@ -56,18 +57,17 @@ impl Outline {
 
     /// Sides of the bounding box after the linear map.
     pub fn sides(&self, linear: DMat2) -> DVec2 {
-        let (low, high) = self.corners(linear);
-        high - low
+        self.bounds(linear).size()
     }
 
-    fn corners(&self, linear: DMat2) -> (DVec2, DVec2) {
-        corners(self.border.iter().flatten().chain(self.folded.iter().flatten()).map(|p| linear * *p))
+    fn bounds(&self, linear: DMat2) -> Bounds {
+        let points = self.border.iter().flatten().chain(self.folded.iter().flatten());
+        Bounds::around(points.map(|p| linear * *p)).or_zero()
     }
 
     /// The cells that the piece touches, and what is subtracted from turned coordinates so that the mask's corner is the origin.
     pub fn raster(&self, linear: DMat2, cell: f64, lattice: Option<usize>) -> (Mask, DVec2) {
-        let (low, high) = self.corners(linear);
-        let (anchor, [width, height]) = frame(low, high, cell, lattice);
+        let (anchor, [width, height]) = frame(self.bounds(linear), cell, lattice);
         let place = |p: DVec2| (linear * p - anchor) / cell;
         let border: Vec<[DVec2; 2]> = self.border.iter().map(|e| e.map(place)).collect();
         let mut mask = Mask::new(width, height);
@@ -86,7 +86,7 @@ impl Outline {
 }
 
 /// Sets the cells whose centres the border winds about; the border's own cells are set already.
-fn fill(border: &[[DVec2; 2]], mask: &mut Mask) {
+pub(crate) fn fill(border: &[[DVec2; 2]], mask: &mut Mask) {
     // Crossings of the centre line of each row: (row, x, direction).
     let mut crossings: Vec<(u32, f64, i32)> = Vec::new();
     for &[a, b] in border {

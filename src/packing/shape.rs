@@ -12,6 +12,7 @@ use super::orientation::Orientation;
 use super::outline::Outline;
 use super::tuning::Tuning;
 use super::{Piece, Spacing};
+use crate::atlas::bvh::Bounds;
 
 /// One piece in one orientation at one resolution.
 #[derive(Debug, Clone)]
@@ -95,8 +96,9 @@ impl Shapes {
     }
 }
 
-/// Where the mask of a piece between these corners starts (texels), and its sides in cells.
-pub(super) fn frame(low: DVec2, high: DVec2, cell: f64, stride: Option<usize>) -> (DVec2, [usize; 2]) {
+/// Where the mask of a piece with these bounds starts (texels), and its sides in cells.
+pub(super) fn frame(bounds: Bounds, cell: f64, stride: Option<usize>) -> (DVec2, [usize; 2]) {
+    let Bounds { min: low, max: high } = bounds;
     // On the lattice the mask starts at a multiple of it, so that whole steps stay whole; elsewhere a hair before
     // the piece, so that no cell is wasted.
     let anchor = match stride {

@@ -21,7 +21,7 @@ use crate::params::{Problem, out_of_range, section};
 pub type NamedSchemas = Vec<(String, RefOr<Schema>)>;
 
 /// A [`Stage`] of any kind, with its parameters.
-pub trait AnyStage: Debug + Send + Sync {
+pub trait AnyStage: Any + Debug + Send + Sync {
     /// See [`Stage::NAME`].
     fn name(&self) -> &'static str;
     /// See [`Stage::DESCRIPTION`].
@@ -52,10 +52,6 @@ pub trait AnyStage: Debug + Send + Sync {
     fn schema(&self) -> RefOr<Schema>;
     /// Schemas that the schema of its parameters refers to.
     fn referred(&self) -> NamedSchemas;
-    /// The parameters, to be asked for their type.
-    fn as_any(&self) -> &dyn Any;
-    /// Whether the other is of the same kind, with equal parameters.
-    fn equals(&self, other: &dyn AnyStage) -> bool;
 }
 
 impl<S: Stage> AnyStage for S {
@@ -108,14 +104,6 @@ impl<S: Stage> AnyStage for S {
         S::schemas(&mut schemas);
         schemas
     }
-
-    fn as_any(&self) -> &dyn Any {
-        self
-    }
-
-    fn equals(&self, other: &dyn AnyStage) -> bool {
-        other.as_any().downcast_ref::<S>() == Some(self)
-    }
 }
 
 /// A stage of any kind with its parameters, as it stands in a recipe.
@@ -135,7 +123,7 @@ impl ErasedStage {
 
     /// The parameters, if the stage is of this kind.
     pub fn get<S: Stage>(&self) -> Option<&S> {
-        self.0.as_any().downcast_ref()
+        (&*self.0 as &dyn Any).downcast_ref()
     }
 }
 
@@ -149,7 +137,7 @@ impl Deref for ErasedStage {
 
 impl PartialEq for ErasedStage {
     fn eq(&self, other: &Self) -> bool {
-        self.0.equals(&**other)
+        self.name() == other.name() && self.to_value() == other.to_value()
     }
 }
 

@@ -22,7 +22,7 @@ use crate::params::params;
 use crate::texture::Texture;
 
 /// All options of a job.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct Options {
     /// A preset's name, or the stages in order.
@@ -57,27 +57,6 @@ pub struct Options {
     pub time_limit_s: Option<f64>,
     /// Free data, returned with the job.
     pub metadata: Map<String, Value>,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Options {
-            recipe: Recipe::Preset("pack".to_owned()),
-            pack: Pack::default(),
-            stages: StageSections::default(),
-            texture: Texture::default(),
-            atlas: AtlasOptions::default(),
-            importance: None,
-            fabrication: None,
-            output: Output::Glb,
-            require: BTreeMap::new(),
-            model: None,
-            seed: 0,
-            work_budget: None,
-            time_limit_s: None,
-            metadata: Map::new(),
-        }
-    }
 }
 
 impl Options {
@@ -192,10 +171,11 @@ impl AtlasOptions {
 }
 
 /// Container of the output model.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Output {
     /// One binary file.
+    #[default]
     Glb,
     /// JSON with side files.
     Gltf,

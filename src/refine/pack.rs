@@ -10,9 +10,8 @@ use crate::asset::lcm;
 use crate::atlas::{
     Atlas, ChartId, Charts, Clusters, HalfEdge, Move, OverlapMode, Topology, clusters, overlapping_charts,
 };
-use crate::context::Context;
-use crate::error::{Code, Result, Warning};
-use crate::packing::{self, InitialLayout, Packing, Piece, Placement, Request, Rounding, Spacing};
+use crate::error::{Code, Failure, Result, Warning};
+use crate::packing::{self, InitialLayout, Packing, Piece, Request, Rounding, Spacing};
 use crate::packing::{Pack, Rotation};
 use crate::texture::{Overflow, Size};
 
@@ -26,7 +25,7 @@ impl Stage for Pack {
     const SHARED: bool = true;
 
     fn run(&self, input: &StageInput<'_>) -> Result<Staged> {
-        pack(input.atlas, input.sheet_info, input.options, input.context)
+        pack(input)
     }
 }
 
@@ -34,14 +33,28 @@ impl Stage for Pack {
 ///
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
-pub fn pack(atlas: &Atlas, sheet_info: &SheetInfo, options: &Options, context: &Context) -> Result<Staged> {
-    let (next, work) = lay_out(atlas, sheet_info, options, &[], &[], 1.0, context)?;
+pub fn pack(input: &StageInput<'_>) -> Result<Staged> {
+    let (next, work) = lay_out(input, &[], &[], 1.0)?;
     let figures = Map::from_iter([("work".to_owned(), Value::from(work))]);
-    let staged = Staged { atlas: next, stopped_by: "done", figures, kept: false };
-    if keeps_input(atlas, &staged.atlas, sheet_info, options) {
-        return Ok(staged.undone(atlas, sheet_info, context));
+    Ok(finished(input, next, "done", figures))
+}
+
+/// What a stage gives back: its result or, with a warning, the input again, where the result has more pixels and nothing else speaks for it.
+pub(super) fn finished(
+    input: &StageInput<'_>,
+    result: Atlas,
+    stopped_by: &'static str,
+    figures: Map<String, Value>,
+) -> Staged {
+    if !keeps_input(input, &result) {
+        return Staged { atlas: result, stopped_by, figures, kept: false };
     }
-    Ok(staged)
+    let text = format!(
+        "the sheet of atlas {} would not become smaller: it stays as uploaded (set atlas.if_larger to \"accept\" to take the result)",
+        input.sheet_info.id
+    );
+    input.context.warn(Warning::new("kept_input", text));
+    Staged { atlas: input.atlas.clone(), stopped_by: "no_improvement", figures, kept: true }
 }
 
 /// Packs the charts, or the clusters of charts, on new sheets, and gives the work that it took. `starts` are layouts of the clusters in
@@ -51,14 +64,12 @@ pub fn pack(atlas: &Atlas, sheet_info: &SheetInfo, options: &Options, context: &
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
 pub(super) fn lay_out(
-    atlas: &Atlas,
-    sheet_info: &SheetInfo,
-    options: &Options,
+    input: &StageInput<'_>,
     starts: &[InitialLayout],
     free: &[bool],
     effort: f64,
-    context: &Context,
 ) -> Result<(Atlas, u64)> {
+    let StageInput { atlas, options, context, .. } = *input;
     let topology = Topology::new(atlas);
     let charts = Charts::new(&topology);
     let together = clusters(atlas, &charts, options.atlas.overlaps);
@@ -67,12 +78,13 @@ pub(super) fn lay_out(
     let outlined = |own: &Vec<ChartId>| Piece { free: is_free(own), ..piece(atlas, &topology, &charts, own) };
     let pieces: Vec<Piece> = together.charts.par_iter().map(outlined).collect();
     let starts = if starts.iter().all(|s| s.places.len() == pieces.len()) { starts } else { &[] };
-    let packed = place(&pieces, sheet_info, options, starts, effort, context)?;
+    let packed = place(&pieces, input, starts, effort)?;
     Ok((apply(atlas, &charts, &together, &packed), packed.work))
 }
 
 /// Whether the result has more pixels than the input and nothing else speaks for it.
-pub(super) fn keeps_input(before: &Atlas, after: &Atlas, sheet_info: &SheetInfo, options: &Options) -> bool {
+fn keeps_input(input: &StageInput<'_>, after: &Atlas) -> bool {
+    let StageInput { atlas: before, sheet_info, options, .. } = *input;
     let area = |sheets: &[[u32; 2]]| sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
     options.atlas.if_larger == IfLarger::KeepInput
         && options.texture.size == Size::KeepDensity
@@ -143,14 +155,8 @@ pub(super) fn largest_chart(sheet_info: &SheetInfo, options: &Options) -> Option
     Some([width.max(height), width.min(height)])
 }
 
-fn place(
-    pieces: &[Piece],
-    sheet_info: &SheetInfo,
-    options: &Options,
-    starts: &[InitialLayout],
-    effort: f64,
-    context: &Context,
-) -> Result<Packing> {
+fn place(pieces: &[Piece], input: &StageInput<'_>, starts: &[InitialLayout], effort: f64) -> Result<Packing> {
+    let StageInput { sheet_info, options, context, .. } = *input;
     let texture = &options.texture;
     let (max, round) = sides(sheet_info, options);
     let request = Request {
@@ -171,14 +177,13 @@ fn place(
         let request = Request { spacing: spacing(sheet_info, &options.pack, true), ..request.clone() };
         match packing::pack_into(&request, sheet, largest, context)? {
             Some(fitted) => Ok(fitted.packing),
-            None => Err(crate::error::Failure::new(
-                Code::TooLarge,
-                format!(
-                    "the charts and their gutters do not fit on a sheet of {} x {} texels at any scale",
-                    sheet[0], sheet[1]
-                ),
-            )
-            .at("/texture/size")),
+            None => {
+                let [width, height] = sheet;
+                let text = format!(
+                    "the charts and their gutters do not fit on a sheet of {width} x {height} texels at any scale"
+                );
+                Err(Failure::new(Code::TooLarge, text).at("/texture/size"))
+            }
         }
     };
     match texture.size {
@@ -190,13 +195,9 @@ fn place(
         Ok(packing) if packing.sheets.len() == 1 || texture.overflow == Overflow::Pages => Ok(packing),
         Err(failure) if failure.code != Code::TooLarge => Err(failure),
         _ => {
-            context.warn(Warning::new(
-                "scaled_to_fit",
-                format!(
-                    "the charts of atlas {} are scaled down to fit on a sheet of {} texels",
-                    sheet_info.id, texture.max_size
-                ),
-            ));
+            let (id, side) = (sheet_info.id, texture.max_size);
+            let text = format!("the charts of atlas {id} are scaled down to fit on a sheet of {side} texels");
+            context.warn(Warning::new("scaled_to_fit", text));
             fitted(largest_sheet(request.max[0], request.round, request.aspect), 1.0)
         }
     }
@@ -219,13 +220,8 @@ fn largest_sheet(max: f64, round: Rounding, aspect: Option<f64>) -> [f64; 2] {
 }
 
 fn apply(atlas: &Atlas, charts: &Charts, together: &Clusters, packed: &Packing) -> Atlas {
-    let moves: Vec<Move> = charts
-        .ids()
-        .map(|chart| {
-            let Placement { page, linear, translate } = packed.placements[together.of_chart[chart.index()] as usize];
-            Move { page, linear, translate }
-        })
-        .collect();
+    let moves: Vec<Move> =
+        charts.ids().map(|chart| packed.placements[together.of_chart[chart.index()] as usize]).collect();
     let sheets = packed.sheets.iter().map(|s| s.map(|side| side.round().max(1.0) as u32)).collect();
     let mut next = atlas.moved(charts, &moves, sheets);
     // What lies on the sheet's edge must not leave it by a rounding error.

@@ -19,6 +19,12 @@ pub enum Recipe {
     Stages(Vec<ErasedStage>),
 }
 
+impl Default for Recipe {
+    fn default() -> Self {
+        Recipe::Preset("pack".to_owned())
+    }
+}
+
 /// Stages and options under a name.
 #[derive(Debug, Clone, Copy)]
 pub struct Preset {

@@ -9,6 +9,7 @@ use super::load::{Loaded, Model};
 use super::refinement::Refinement;
 use crate::asset::{Document, declared_triangles, is_small};
 use crate::atlas::OverlapMode;
+use crate::atlas::groups::sorted_unique;
 use crate::atlas::{Atlas, Charts, Clusters, Topology, clusters};
 use crate::context::Context;
 use crate::error::Result;
@@ -157,10 +158,7 @@ fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasRepo
 /// The names of the members' materials, model by model, each once.
 fn material_names(loaded: &Loaded, group: &Group) -> Vec<String> {
     let primitives = |m: &Member| m.set.primitives.iter().filter_map(|p| p.material).collect::<Vec<_>>();
-    let mut materials: Vec<(usize, usize)> =
-        group.members.iter().flat_map(|m| primitives(m).into_iter().map(|p| (m.model, p))).collect();
-    materials.sort_unstable();
-    materials.dedup();
+    let materials = sorted_unique(group.members.iter().flat_map(|m| primitives(m).into_iter().map(|p| (m.model, p))));
     materials.into_iter().map(|(model, m)| material_name(&loaded.models[model].doc, m)).collect()
 }
 

@@ -9,7 +9,7 @@ use super::recipe::Step;
 use super::refinement::{Refinement, STAGE_REVERTED};
 use super::report::report;
 use super::textures::{Images, bake_slots};
-use super::write::{Written, write};
+use super::write::write;
 use crate::asset::{File, Limits};
 use crate::context::Context;
 use crate::error::{Failure, Result};
@@ -99,17 +99,8 @@ pub(super) struct Run<'a> {
     steps: Vec<Step>,
 }
 
-/// What the stages leave: every Atlas as the last of them left it.
-struct Refined<'a> {
-    refinements: Vec<Refinement<'a>>,
-    /// The images that are needed first: decoded while the stages ran.
-    images: Option<Images<'a>>,
-}
-
-/// What baking leaves: every Atlas with its textures.
-struct Baked<'a> {
-    refinements: Vec<Refinement<'a>>,
-}
+/// What the stages leave: every Atlas as the last of them left it, and the images that are needed first, decoded while the stages ran.
+type Refined<'a> = (Vec<Refinement<'a>>, Option<Images<'a>>);
 
 impl<'a> Run<'a> {
     pub(super) fn new(input: &'a Input, options: &'a Options, context: &'a Context) -> Self {
@@ -123,18 +114,16 @@ impl<'a> Run<'a> {
         plan.extend([("bake", 2.0), ("write", 1.0)]);
         self.context.plan(&plan);
 
-        let loaded = self.read()?;
+        self.context.enter(0);
+        let loaded = load(self.input, self.options, true, self.context)?;
         let refined = self.stages(&loaded)?;
+        self.context.enter(1 + self.steps.len());
         let baked = self.bake(&loaded, refined)?;
-        let written = self.write(&loaded, baked)?;
-        let outcome = self.report(&loaded, written)?;
+        self.context.enter(2 + self.steps.len());
+        let written = write(&loaded, baked, self.context)?;
+        let outcome = deliver(self.input, self.options, &loaded, written, self.context)?;
         self.context.finish();
         Ok(outcome)
-    }
-
-    fn read(&self) -> Result<Loaded> {
-        self.context.enter(0);
-        load(self.input, self.options, true, self.context)
     }
 
     fn images<'l>(&self, loaded: &'l Loaded, refinement: &Refinement<'l>) -> Images<'l> {
@@ -156,12 +145,11 @@ impl<'a> Run<'a> {
             Ok(())
         };
         let (done, images) = rayon::join(&mut run_stages, || first.map(|images| images.begun(self.context)));
-        done.map(|()| Refined { refinements, images })
+        done.map(|()| (refinements, images))
     }
 
-    fn bake<'l>(&self, loaded: &'l Loaded, refined: Refined<'l>) -> Result<Baked<'l>> {
-        self.context.enter(1 + self.steps.len());
-        let Refined { mut refinements, images } = refined;
+    /// Gives every Atlas its textures.
+    fn bake<'l>(&self, loaded: &'l Loaded, (mut refinements, images): Refined<'l>) -> Result<Vec<Refinement<'l>>> {
         let mut begun = images.filter(|_| refinements.first().is_some_and(|r| !r.kept));
         let count = refinements.len();
         for (n, r) in refinements.iter_mut().enumerate().filter(|(_, r)| !r.kept) {
@@ -169,15 +157,6 @@ impl<'a> Run<'a> {
             let images = begun.take().filter(|_| n == 0).unwrap_or_else(|| self.images(loaded, r));
             r.slots = bake_slots(images, &r.atlas, &self.options.texture, self.context, &progress)?;
         }
-        Ok(Baked { refinements })
-    }
-
-    fn write<'l>(&self, loaded: &'l Loaded, baked: Baked<'l>) -> Result<Written<'l>> {
-        self.context.enter(2 + self.steps.len());
-        write(loaded, baked.refinements, self.context)
-    }
-
-    fn report(&self, loaded: &Loaded, written: Written<'_>) -> Result<Outcome> {
-        deliver(self.input, self.options, loaded, written, self.context)
+        Ok(refinements)
     }
 }

@@ -7,7 +7,7 @@ use super::options::Options;
 use crate::asset::TextureSet;
 use crate::atlas::Atlas;
 use crate::context::Context;
-use crate::error::{Result, Warning};
+use crate::error::Result;
 use crate::packing::{Gutter, Pack};
 use crate::params::Params;
 
@@ -122,18 +122,4 @@ pub struct Staged {
     pub figures: Map<String, Value>,
     /// Whether the Atlas is the stage's input.
     pub kept: bool,
-}
-
-impl Staged {
-    /// The input again, because the result would be no gain; with a warning.
-    pub(super) fn undone(self, input: &Atlas, sheet_info: &SheetInfo, context: &Context) -> Self {
-        context.warn(Warning::new(
-            "kept_input",
-            format!(
-                "the sheet of atlas {} would not become smaller: it stays as uploaded (set atlas.if_larger to \"accept\" to take the result)",
-                sheet_info.id
-            ),
-        ));
-        Staged { atlas: input.clone(), stopped_by: "no_improvement", kept: true, ..self }
-    }
 }

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::pack::pack;
 use super::refinement::STAGE_REVERTED;
 use super::run::Run;
-use super::stage::SheetInfo;
+use super::stage::{SheetInfo, StageInput};
 use super::{Input, Outcome, parse, refine};
 use crate::asset::ReadOptions;
 use crate::asset::{
@@ -63,7 +63,10 @@ fn options(texture: Value, pack: Value) -> Value {
 fn packed(name: &str, options: Value) -> (Atlas, Atlas, Vec<String>) {
     let set = sets(&document(uploaded(name))).remove(0);
     let context = Context::silent();
-    let staged = pack(&set.atlas, &SheetInfo::new(&set), &parse::options(&options).unwrap(), &context).unwrap();
+    let (sheet_info, options) = (SheetInfo::new(&set), parse::options(&options).unwrap());
+    let (atlas, sheet_info) = (&set.atlas, &sheet_info);
+    let input = StageInput { atlas, sheet_info, importance: None, options: &options, context: &context };
+    let staged = pack(&input).unwrap();
     (set.atlas, staged.atlas, context.warnings().into_iter().map(|w| w.code).collect())
 }
 

@@ -5,15 +5,16 @@
 //! `cargo bench --bench box_cutter [-- PART-OF-A-NAME]`; models lie in `INTARSIA_DATA`, or in `../shared/data`.
 
 mod common;
+mod outlines;
 
 use common::{filter, run, short};
 use intarsia::asset::{File, read_paths};
 use intarsia::atlas::OverlapMode;
 use intarsia::context::Context;
 use intarsia::packing::{Gutter, Rotation};
-use intarsia::refine::box_cutter::overlap::baseline::{Outlines, remove_overlaps_along_outlines};
 use intarsia::refine::box_cutter::params::{BoxCutter, Cuts, Search};
 use intarsia::refine::options::{IfLarger, Options, Recipe};
+use outlines::remove_overlaps_along_outlines;
 use serde_json::Value;
 
 const BUDGETS: [f64; 3] = [1.3, 1.5, 2.0];
@@ -110,7 +111,7 @@ fn along_outlines(files: &[File]) -> f64 {
         let index = intarsia::asset::MaterialIndex::new(&doc).ok()?;
         let sets = intarsia::asset::read(&doc, &index, Options::default().atlas.reading(), &context).ok()?;
         let atlas = &sets.first()?.atlas;
-        let after = remove_overlaps_along_outlines(atlas, Outlines::All, &context).ok()?;
+        let after = remove_overlaps_along_outlines(atlas);
         Some(border(&after) / border(atlas) - 1.0)
     };
     cut().unwrap_or(f64::NAN)

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use super::{Mesh, ascending};
-use crate::atlas::{FaceId, HalfEdge, UvId, find_root};
+use crate::atlas::groups::{DisjointSets, sorted_unique};
+use crate::atlas::{FaceId, HalfEdge, UvId};
 
 impl Mesh {
     /// Cuts charts open along UV edges: each UV vertex on a cut becomes as many as the cuts leave parts of its fan. Faces and surface
@@ -26,18 +27,15 @@ impl Mesh {
             }
         }
         cut.sort_unstable();
-        touched.sort_unstable();
-        touched.dedup();
-        let mut corners: Vec<HalfEdge> = touched.iter().flat_map(|&u| self.corners_of(u)).collect();
+        let mut corners: Vec<HalfEdge> = sorted_unique(touched).into_iter().flat_map(|u| self.corners_of(u)).collect();
         corners.sort_unstable();
         // Corners of one UV vertex that hang together over edges which are not cut.
-        let mut parent: Vec<u32> = (0..corners.len() as u32).collect();
+        let mut parts = DisjointSets::new(corners.len());
         let mut join = |a: HalfEdge, b: HalfEdge| {
             if self.uv_at(a) == self.uv_at(b)
                 && let (Ok(a), Ok(b)) = (corners.binary_search(&a), corners.binary_search(&b))
             {
-                let (a, b) = (find_root(&mut parent, a as u32), find_root(&mut parent, b as u32));
-                parent[a.max(b) as usize] = a.min(b);
+                parts.unite(a as u32, b as u32);
             }
         };
         for &corner in &corners {
@@ -55,8 +53,7 @@ impl Mesh {
                 }
             }
         }
-        let parts: Vec<(HalfEdge, u32)> =
-            corners.iter().enumerate().map(|(i, &c)| (c, find_root(&mut parent, i as u32))).collect();
+        let parts: Vec<(HalfEdge, u32)> = (0..).zip(&corners).map(|(i, &c)| (c, parts.find(i))).collect();
         self.divide(&parts);
     }
 

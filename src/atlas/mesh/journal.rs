@@ -29,8 +29,6 @@ pub(super) enum Change {
     Twins(HalfEdge, [HalfEdge; 2]),
     /// These faces hung together on a UV edge.
     Incident((UvId, UvId), Vec<[FaceId; 2]>),
-    /// Whether a surface edge had more than two faces.
-    NonManifold((VertexId, VertexId), bool),
 }
 
 /// A state of a mesh that can be gone back to.
@@ -102,7 +100,6 @@ impl Mesh {
             Change::Part(face, provenance) => self.atlas.provenance[face.index()] = provenance,
             Change::Twins(h, twins) => self.topology.set_twins(h, twins),
             Change::Incident(edge, pairs) => drop(self.topology.set_incident(edge, pairs)),
-            Change::NonManifold(edge, is) => drop(self.topology.set_non_manifold(edge, is)),
         }
     }
 }

@@ -24,6 +24,7 @@ use glam::DVec2;
 
 use self::journal::{Change, Journal};
 use self::lists::CornerLists;
+use super::groups::sorted_unique;
 use super::topology::{ends, key, neighbours};
 use super::{Atlas, FaceId, HalfEdge, Topology, UvId, VertexId};
 
@@ -130,9 +131,7 @@ impl Mesh {
                 }
             }
         }
-        found.sort_unstable();
-        found.dedup();
-        found
+        sorted_unique(found)
     }
 
     /// Moves a UV vertex.
@@ -167,15 +166,13 @@ impl Mesh {
     }
 
     /// Pairs the half edges of some surface edges anew, after their corners changed. `stale`: UV edges that may be no more.
-    fn pair(&mut self, mut edges: Vec<(VertexId, VertexId)>, stale: &[(UvId, UvId)]) {
+    fn pair(&mut self, edges: Vec<(VertexId, VertexId)>, stale: &[(UvId, UvId)]) {
         for &uv_edge in stale {
             self.set_incident(uv_edge, Vec::new());
         }
-        edges.sort_unstable();
-        edges.dedup();
         let mut points: Vec<UvId> = stale.iter().filter(|e| e.0 == e.1).map(|e| e.0).collect();
         let mut runs = Vec::new();
-        for (a, b) in edges {
+        for (a, b) in sorted_unique(edges) {
             let all = self.half_edges_between(a, b);
             let before: Vec<_> = all.iter().map(|&h| (h, self.topology.twins(h))).collect();
             for &h in &all {
@@ -196,22 +193,19 @@ impl Mesh {
                 self.set_incident((UvId(run[0].0), UvId(run[0].1)), pairs);
             }
             all.iter().for_each(|&h| self.topology.copy_uv_twin(h));
-            runs.clear();
             if a != b {
+                runs.clear();
                 runs.extend(all.iter().map(|&h| key(self.surface_ends(h).map(|v| v.0), h)));
                 runs.sort_unstable();
                 self.topology.pair_on_surface(&runs);
             }
-            self.set_non_manifold((a, b), runs.len() > 2);
             for (h, old) in before {
                 if self.topology.twins(h) != old {
                     self.journal.note(|| Change::Twins(h, old));
                 }
             }
         }
-        points.sort_unstable();
-        points.dedup();
-        for uv in points {
+        for uv in sorted_unique(points) {
             let mut faces: Vec<FaceId> = self.star(uv).filter(|&f| self.collapses_at(f, uv)).collect();
             faces.sort_unstable();
             self.set_incident((uv, uv), neighbours(faces.into_iter()));
@@ -227,12 +221,6 @@ impl Mesh {
         let old = self.topology.set_incident(uv_edge, pairs);
         if let Some(old) = old {
             self.journal.note(|| Change::Incident(uv_edge, old));
-        }
-    }
-
-    fn set_non_manifold(&mut self, edge: (VertexId, VertexId), is: bool) {
-        if self.topology.set_non_manifold(edge, is) {
-            self.journal.note(|| Change::NonManifold(edge, !is));
         }
     }
 }

@@ -1,7 +1,8 @@
 //! One local search: a container a little smaller than that of the best layout, again and again, with disruptions where that fails.
 
+use super::Level;
 use super::disruption::{exchange, resize};
-use super::item::{InstanceSet, PlacedItem};
+use super::item::PlacedItem;
 use super::objective::Objective;
 use super::overlap::OverlapMinimizer;
 use crate::context::Context;
@@ -59,8 +60,7 @@ impl LocalSearch {
     /// Takes the pieces of a start apart in a container of its size, or one a little larger.
     pub fn make_feasible(
         &mut self,
-        instances: &InstanceSet<'_>,
-        objective: &Objective,
+        Level { instances, objective }: &Level<'_>,
         schedule: &ShrinkSchedule,
         start: (Vec<PlacedItem>, i32, i32),
         limit: u64,
@@ -84,8 +84,7 @@ impl LocalSearch {
     /// Shrinks the container until `quota` words more were looked at, or nothing smaller is possible.
     pub fn run(
         &mut self,
-        instances: &InstanceSet<'_>,
-        objective: &Objective,
+        Level { instances, objective }: &Level<'_>,
         schedule: &ShrinkSchedule,
         quota: u64,
         context: &Context,

@@ -33,7 +33,7 @@ use super::orientation::Orientation;
 use super::outline::Outline;
 use super::random::Random;
 use super::tuning::Tuning;
-use super::{Packing, Placement, Request};
+use super::{Move, Packing, Request};
 use crate::context::Context;
 use crate::error::Result;
 use crate::packing::Rotation;
@@ -113,11 +113,10 @@ impl GuidedSearch<'_> {
 
     /// Makes the starts feasible and shrinks their containers round by round, on with the best alone; gives the work.
     fn explore(&self, searches: &mut Vec<LocalSearch>, starts: &[InitialLayout], level: &Level<'_>) -> Result<u64> {
-        let Level { instances, objective } = level;
         let limit = self.budget / FEASIBILITY_SHARE / starts.len().max(1) as u64;
         searches.par_iter_mut().zip(starts).try_for_each(|(search, start)| {
-            let start = self.on_grid(start, &instances.grid);
-            search.make_feasible(instances, objective, &EXPLORATION, start, limit, self.context)
+            let start = self.on_grid(start, &level.instances.grid);
+            search.make_feasible(level, &EXPLORATION, start, limit, self.context)
         })?;
         let mut work: u64 = searches.iter().map(|s| s.work).sum();
         for (round, (part, keep)) in ROUNDS.into_iter().enumerate() {
@@ -141,7 +140,7 @@ impl GuidedSearch<'_> {
             .par_iter_mut()
             .map(|search| {
                 let before = search.work;
-                search.run(&level.instances, &level.objective, schedule, quota, self.context)?;
+                search.run(level, schedule, quota, self.context)?;
                 Ok(search.work - before)
             })
             .collect::<Result<Vec<u64>>>()
@@ -157,7 +156,6 @@ impl GuidedSearch<'_> {
         level: &Level<'_>,
         quota: u64,
     ) -> Result<Vec<LocalSearch>> {
-        let Level { instances, objective } = level;
         let seeds: Vec<u64> = searches.iter().map(|_| seeds.next()).collect();
         searches
             .into_par_iter()
@@ -165,8 +163,8 @@ impl GuidedSearch<'_> {
             .map(|(search, seed)| {
                 let mut next = LocalSearch::new(seed, &COMPRESSION);
                 if let Some(best) = &search.best {
-                    let start = self.on_finer_grid(best, from, &instances.grid);
-                    next.make_feasible(instances, objective, &COMPRESSION, start, quota, self.context)?;
+                    let start = self.on_finer_grid(best, from, &level.instances.grid);
+                    next.make_feasible(level, &COMPRESSION, start, quota, self.context)?;
                 }
                 Ok(next)
             })
@@ -234,7 +232,7 @@ impl GuidedSearch<'_> {
     fn packing(&self, best: &FeasibleLayout, level: &Level<'_>, work: u64) -> Packing {
         let place = |p: &PlacedItem| {
             let corner = p.corner() * level.instances.grid.cell + DVec2::splat(self.request.spacing.margin);
-            Placement { page: 0, linear: p.item.linear, translate: corner - p.item.anchor }
+            Move { page: 0, linear: p.item.linear, translate: corner - p.item.anchor }
         };
         let placements = best.placed.iter().map(place).collect();
         Packing { placements, sheets: vec![level.objective.sheet(best.width, best.height)], work }

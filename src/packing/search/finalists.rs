@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::Search;
 use super::coarse::Evaluated;
+use crate::atlas::groups::sorted_unique;
 use crate::error::Result;
 use crate::packing::greedy::{Plan, StripBuilder, StripLayout, compact, greedy};
 use crate::packing::orientation::Orientation;
@@ -88,9 +89,7 @@ impl Search<'_> {
             if !self.tuning.keeps_orientations {
                 return all.clone();
             }
-            let mut chosen: Vec<u32> = plans.iter().map(|t| t.chosen[piece]).collect();
-            chosen.sort_unstable();
-            chosen.dedup();
+            let chosen = sorted_unique(plans.iter().map(|t| t.chosen[piece]));
             chosen.into_iter().map(|k| all[k as usize]).collect()
         };
         self.orientations.iter().enumerate().map(chosen).collect()

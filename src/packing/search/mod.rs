@@ -10,12 +10,12 @@ use rayon::prelude::*;
 use self::coarse::Evaluated;
 use super::greedy::{PlacementRule, Spot, StripLayout, greedy};
 use super::guided::{GuidedSearch, InitialLayout};
-use super::orientation::{Angles, Orientation, orientations};
+use super::orientation::{Orientation, orientations};
 use super::outline::Outline;
 use super::shape::Shapes;
 use super::sheet::SheetObjective;
 use super::tuning::Tuning;
-use super::{Packing, Placement, Request};
+use super::{Move, Packing, Request};
 use crate::context::Context;
 use crate::error::Result;
 use crate::packing::PackSearch;
@@ -25,19 +25,19 @@ const THOROUGH_WORK: f64 = 2e9;
 /// The part of it that the thorough search spends at most on the plans of the fast one, with which it begins.
 const FAST_PART: f64 = 0.08;
 /// Rules that plans choose from: the growth of the strip's used height counts most (Box Cutter, section 3.3), then what stays low.
-const RULES: [PlacementRule; 3] = [
+pub(crate) const RULES: [PlacementRule; 3] = [
     PlacementRule { growth: 4.0, top: 1.0, low: 0.0 },
     PlacementRule { growth: 4.0, top: 0.0, low: 1.0 },
     PlacementRule { growth: 4.0, top: 0.5, low: 0.5 },
 ];
 
-/// Angles for a piece by its share of the area and its place in the order of areas: large pieces decide the sheet's size.
-fn angles(share: f64, rank: usize) -> Angles {
+/// Angles beside the best axes for a piece, by its share of the area and its place in the order of areas: large pieces decide the sheet's size.
+fn angles(share: f64, rank: usize) -> u32 {
     match rank {
-        0..6 if share > 0.1 => Angles::Several(11),
-        0..14 => Angles::Several(3),
-        14..200 => Angles::Several(1),
-        _ => Angles::Axes,
+        0..6 if share > 0.1 => 11,
+        0..14 => 3,
+        14..200 => 1,
+        _ => 0,
     }
 }
 
@@ -53,9 +53,7 @@ pub fn pack(request: &Request<'_>, context: &Context) -> Result<Packing> {
     let mut by_area: Vec<usize> = (0..n).collect();
     by_area.sort_by(|&a, &b| request.pieces[b].area.total_cmp(&request.pieces[a].area).then(a.cmp(&b)));
     let mut rank = vec![0; n];
-    for (r, &piece) in by_area.iter().enumerate() {
-        rank[piece] = r;
-    }
+    by_area.iter().enumerate().for_each(|(r, &piece)| rank[piece] = r);
     let total = request.pieces.iter().map(|p| p.area).sum::<f64>().max(1e-12);
     let orientations: Vec<Vec<Orientation>> = request
         .pieces
@@ -199,11 +197,11 @@ impl Search<'_> {
         SheetObjective::new(self.request, shapes.cell).height_at(cost, width as f64)
     }
 
-    fn placement(&self, shapes: &Shapes, layout: &StripLayout, piece: usize, page: u16) -> Option<Placement> {
+    fn placement(&self, shapes: &Shapes, layout: &StripLayout, piece: usize, page: u16) -> Option<Move> {
         let spot = layout.spots.get(piece).copied().flatten()?;
         let shape = shapes.at(piece, spot);
         let corner = spot.corner() * shapes.cell + DVec2::splat(self.request.spacing.margin);
-        Some(Placement { page, linear: shape.linear, translate: corner - shape.anchor })
+        Some(Move { page, linear: shape.linear, translate: corner - shape.anchor })
     }
 
     fn one_sheet(&self, layout: &StripLayout, shapes: &Shapes, work: u64) -> Packing {

@@ -6,7 +6,7 @@ use glam::DVec2;
 
 use super::outline::Line;
 use super::panel::{Panel, Raster, to_chart};
-use crate::packing::{Mask, PlacementRule, Plan, Shapes, StripLayout, greedy};
+use crate::packing::{Mask, Plan, RULES, Shapes, StripLayout, greedy};
 
 /// A layout of panels.
 #[derive(Debug, Clone)]
@@ -29,10 +29,6 @@ pub(crate) struct Sheet {
     /// Highest strip.
     pub height: usize,
 }
-
-/// Rules of placement: the growth of the active area first, then what lies lowest, or what stays lowest.
-const RULES: [PlacementRule; 2] =
-    [PlacementRule { growth: 4.0, top: 1.0, low: 0.0 }, PlacementRule { growth: 4.0, top: 0.0, low: 1.0 }];
 
 /// Widths about a known one.
 const NEAR: [f64; 3] = [1.0, 0.94, 1.06];
@@ -78,12 +74,9 @@ impl Sheet {
         let mut best: Option<(f64, StripLayout)> = None;
         let mut work = 0;
         let plans = [(&by_area, RULES[0]), (&by_side, RULES[0]), (&by_area, RULES[1])];
-        let count = if !near {
-            3
-        } else if panels.len() > MANY {
-            1
-        } else {
-            2
+        let count = match near {
+            false => 3,
+            true => 1 + usize::from(panels.len() <= MANY),
         };
         for (order, rule) in &plans[..count] {
             for &width in widths {
@@ -155,7 +148,6 @@ impl Arrangement {
         let spot = self.layout.spots[panel]?;
         let shapes = panels[panel].shapes(raster);
         let shape = &shapes[spot.orientation as usize];
-        let corner = DVec2::new(f64::from(spot.x), f64::from(spot.y));
-        Some(to_chart(shape.linear, shape.anchor, (point - corner) * raster.cell, along))
+        Some(to_chart(shape.linear, shape.anchor, (point - spot.corner()) * raster.cell, along))
     }
 }

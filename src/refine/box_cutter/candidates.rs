@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use super::lines::{OFFSETS, add_lengths, chords, offset, shifted};
 use super::outline::{Chord, Line};
 use super::panel::sides;
+use super::params::Search;
 use super::search::{SearchContext, SearchState};
 use super::void::void_boxes;
 use crate::packing::Random;
@@ -17,23 +18,6 @@ pub(crate) struct Candidate {
     pub lines: Vec<(usize, Vec<Line>)>,
 }
 
-/// How candidates are chosen.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct CandidateParams {
-    /// Void boxes that offer candidates, globally and locally (n of section 3.2).
-    pub boxes: usize,
-    /// Fraction of a void box that a larger one may share.
-    pub shared: f64,
-    /// Lines shift within this fraction of the box that they cross.
-    pub shift: f64,
-    /// Smallest extent of a panel, in texels.
-    pub least: f64,
-    /// Random lines instead of void boxes (section 5, "Validation").
-    pub random: bool,
-    /// More local boxes where panels are many, which the paper does not have.
-    pub many: bool,
-}
-
 /// So many panels offer one local box more.
 const PANELS_A_BOX: usize = 12;
 
@@ -43,7 +27,7 @@ type Placed = Vec<(usize, Line)>;
 impl SearchState {
     /// The candidates of this state, global ones first: each void box offers its sides in one direction and in the other.
     pub fn candidates(&self, search: &SearchContext<'_>, random: &mut Random) -> Vec<Candidate> {
-        let (global, local) = if search.candidates.random {
+        let (global, local) = if search.params.search == Search::Random {
             (self.random_global(search, random), self.random_local(search, random))
         } else {
             (self.global(search), self.local(search))
@@ -55,7 +39,13 @@ impl SearchState {
     fn global(&self, search: &SearchContext<'_>) -> Vec<(Vec<Placed>, f64)> {
         let layout = &self.arrangement.layout;
         let taken = self.arrangement.taken(&self.panels, &search.sheet.raster);
-        let boxes = void_boxes(&taken, layout.width, layout.height, search.candidates.boxes, search.candidates.shared);
+        let boxes = void_boxes(
+            &taken,
+            layout.width,
+            layout.height,
+            search.params.void_boxes as usize,
+            search.params.void_overlap,
+        );
         boxes
             .iter()
             .flat_map(|b| sides(b, layout.width, layout.height).into_iter().enumerate())
@@ -72,13 +62,13 @@ impl SearchState {
             let own = |i: usize| Some((i, self.arrangement.line(i, &self.panels, raster, point, along)?));
             (0..self.panels.len()).filter_map(own).collect()
         };
-        (lines.iter().map(place).collect(), search.candidates.shift * across)
+        (lines.iter().map(place).collect(), search.params.line_shift * across)
     }
 
     /// Lines of the largest void boxes in the panels' own boxes, over all panels together.
     fn local(&self, search: &SearchContext<'_>) -> Vec<(Vec<Placed>, f64)> {
-        let (raster, params) = (&search.sheet.raster, &search.candidates);
-        let voids = |i: usize| self.panels[i].voids(raster, params.boxes, params.shared);
+        let (raster, count) = (&search.sheet.raster, search.params.void_boxes as usize);
+        let voids = |i: usize| self.panels[i].voids(raster, count, search.params.void_overlap);
         let own: Vec<Vec<(f64, usize, usize)>> = (0..self.panels.len())
             .into_par_iter()
             .map(|i| {
@@ -88,10 +78,13 @@ impl SearchState {
             .collect();
         let mut boxes: Vec<(f64, usize, usize)> = own.into_iter().flatten().collect();
         boxes.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-        boxes.truncate(if params.many { params.boxes.max(self.panels.len() / PANELS_A_BOX) } else { params.boxes });
+        // Of many panels more, which the paper does not have.
+        boxes.truncate(if search.is_beam() { count.max(self.panels.len() / PANELS_A_BOX) } else { count });
         let lines = |(_, i, n): (f64, usize, usize)| {
             let void = &voids(i)[n];
-            [0, 1].map(|d| (void.sides[d].iter().map(|l| vec![(i, *l)]).collect(), params.shift * void.across[d]))
+            [0, 1].map(|d| {
+                (void.sides[d].iter().map(|l| vec![(i, *l)]).collect(), search.params.line_shift * void.across[d])
+            })
         };
         boxes.into_iter().flat_map(lines).collect()
     }
@@ -99,7 +92,7 @@ impl SearchState {
     /// As many global lines as void boxes would offer, anywhere on the sheet.
     fn random_global(&self, search: &SearchContext<'_>, random: &mut Random) -> Vec<(Vec<Placed>, f64)> {
         let layout = &self.arrangement.layout;
-        (0..2 * search.candidates.boxes)
+        (0..2 * search.params.void_boxes as usize)
             .map(|n| {
                 let at = |random: &mut Random| match n % 2 {
                     0 => (DVec2::new(0.0, random.unit() * layout.height as f64), DVec2::X),
@@ -114,7 +107,7 @@ impl SearchState {
     /// As many local lines as void boxes would offer, each in a panel chosen by area.
     fn random_local(&self, search: &SearchContext<'_>, random: &mut Random) -> Vec<(Vec<Placed>, f64)> {
         let area: f64 = self.panels.iter().map(|p| p.area).sum();
-        (0..2 * search.candidates.boxes)
+        (0..2 * search.params.void_boxes as usize)
             .filter_map(|n| {
                 let mut rest = random.unit() * area;
                 let i = self.panels.iter().position(|p| {
@@ -131,7 +124,7 @@ impl SearchState {
                     let point = along.perp().abs() * across * random.unit();
                     vec![(i, super::panel::to_chart(shape.linear, shape.anchor, point, along))]
                 };
-                Some(((0..1 + random.below(2)).map(|_| line(random)).collect(), search.candidates.shift * across))
+                Some(((0..1 + random.below(2)).map(|_| line(random)).collect(), search.params.line_shift * across))
             })
             .collect()
     }
@@ -177,7 +170,7 @@ impl SearchState {
             let cut: Placed = line
                 .iter()
                 .map(|(i, l)| (*i, shifted(l, by)))
-                .filter(|(i, l)| !chords(&self.panels[*i].outline, l, search.candidates.least).is_empty())
+                .filter(|(i, l)| !chords(&self.panels[*i].outline, l, search.least).is_empty())
                 .collect();
             if !cut.is_empty() {
                 return cut;

@@ -7,6 +7,8 @@ use std::sync::Arc;
 use glam::DVec2;
 
 use super::outline::{Chord, Line, Outline, signed_area};
+use crate::atlas::groups::{DisjointSets, sorted_unique};
+use crate::atlas::seams::uv_length;
 use crate::atlas::{FaceId, HalfEdge, Mesh, UvId};
 
 /// Finds cuts along the edges of a mesh.
@@ -52,8 +54,7 @@ impl<'a> EdgeCutter<'a> {
 
     /// Length of an edge times the mean importance of its ends (section 3.2.2).
     fn weighted(&self, h: HalfEdge) -> f64 {
-        let [a, b] = self.mesh.uv_ends(h);
-        let length = self.at(a).distance(self.at(b));
+        let length = uv_length(self.mesh.atlas(), h);
         self.weights.map_or(length, |weights| {
             let own = weights[h.face().index()];
             length * (own[h.corner()] + own[h.end_corner()]) * 0.5
@@ -96,8 +97,7 @@ impl<'a> EdgeCutter<'a> {
         if parts.len() > 1 && parts.iter().any(|(o, _)| extent(o) < least) {
             return None;
         }
-        let length =
-            cuts.iter().map(|&h| self.at(self.mesh.uv_ends(h)[0]).distance(self.at(self.mesh.uv_ends(h)[1]))).sum();
+        let length = cuts.iter().map(|&h| uv_length(self.mesh.atlas(), h)).sum();
         let weighted = cuts.iter().map(|&h| self.weighted(h)).sum();
         Some(Parts { parts, cuts, length, weighted })
     }
@@ -105,11 +105,7 @@ impl<'a> EdgeCutter<'a> {
     /// UV vertices on the patch's border, ascending.
     fn boundary_vertices(&self, patch: &Patch) -> Vec<UvId> {
         let edges = patch.faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k)));
-        let mut boundary: Vec<UvId> =
-            edges.filter(|&h| self.across(patch, h).is_none()).flat_map(|h| self.mesh.uv_ends(h)).collect();
-        boundary.sort_unstable();
-        boundary.dedup();
-        boundary
+        sorted_unique(edges.filter(|&h| self.across(patch, h).is_none()).flat_map(|h| self.mesh.uv_ends(h)))
     }
 
     /// The shortest path over interior edges (A*), at most `limit` long, as half edges.
@@ -165,39 +161,19 @@ impl<'a> EdgeCutter<'a> {
     pub fn parts(&self, patch: &Patch, slits: BTreeSet<HalfEdge>) -> Vec<(Outline, Patch)> {
         let whole = Patch { faces: patch.faces.clone(), slits: Arc::new(slits) };
         let index = |f: FaceId| whole.faces.binary_search(&f).ok();
-        let mut label = vec![u32::MAX; whole.faces.len()];
-        let mut lots: Vec<Vec<FaceId>> = Vec::new();
-        for seed in 0..label.len() {
-            if label[seed] != u32::MAX {
-                continue;
-            }
-            let mut stack = vec![seed];
-            label[seed] = lots.len() as u32;
-            let mut own = Vec::new();
-            while let Some(i) = stack.pop() {
-                own.push(whole.faces[i]);
-                for k in 0..3 {
-                    let Some(j) = self.across(&whole, HalfEdge::of(whole.faces[i], k)).and_then(|t| index(t.face()))
-                    else {
-                        continue;
-                    };
-                    if label[j] == u32::MAX {
-                        label[j] = lots.len() as u32;
-                        stack.push(j);
-                    }
-                }
-            }
-            own.sort_unstable();
-            lots.push(own);
+        let mut sets = DisjointSets::new(whole.faces.len());
+        for (i, &face) in whole.faces.iter().enumerate() {
+            let twins = (0..3).filter_map(|k| self.across(&whole, HalfEdge::of(face, k)));
+            twins.filter_map(|twin| index(twin.face())).for_each(|j| sets.unite(i as u32, j as u32));
         }
-        lots.into_iter()
-            .map(|faces| {
-                let own = |h: &HalfEdge| faces.binary_search(&h.face()).is_ok();
-                let slits = whole.slits.iter().copied().filter(own).collect();
-                let patch = Patch { faces: Arc::new(faces), slits: Arc::new(slits) };
-                (self.outline(&patch), patch)
-            })
-            .collect()
+        let lots = sets.sets().into_iter().map(|own| own.into_iter().map(|i| whole.faces[i as usize]).collect());
+        lots.map(|faces: Vec<FaceId>| {
+            let own = |h: &HalfEdge| faces.binary_search(&h.face()).is_ok();
+            let slits = whole.slits.iter().copied().filter(own).collect();
+            let patch = Patch { faces: Arc::new(faces), slits: Arc::new(slits) };
+            (self.outline(&patch), patch)
+        })
+        .collect()
     }
 
     /// The border of a patch, as loops.

@@ -3,7 +3,8 @@
 use glam::DVec2;
 
 use super::outline::Line;
-use crate::atlas::{Atlas, Charts};
+use crate::atlas::bvh::Bounds;
+use crate::atlas::{Atlas, Charts, FaceId};
 
 /// Cells along the longest side of a chart.
 const CELLS: f64 = 384.0;
@@ -25,12 +26,11 @@ struct Grid {
 impl Field {
     /// Samples the weights, given at the corners of each face; the mean of an edge's two ends is that of the straight line between them.
     pub fn new(atlas: &Atlas, charts: &Charts, weights: &[[f64; 3]]) -> Self {
-        let grid = |faces: &Vec<crate::atlas::FaceId>| {
-            let points = || faces.iter().flat_map(|f| atlas.uv_triangle(*f));
-            let low = points().fold(DVec2::INFINITY, DVec2::min);
-            let high = points().fold(DVec2::NEG_INFINITY, DVec2::max);
-            let cell = ((high - low).max_element() / CELLS).max(1e-12);
-            let size = ((high - low) / cell).floor() + DVec2::ONE;
+        let grid = |faces: &Vec<FaceId>| {
+            let bounds = Bounds::around(faces.iter().flat_map(|f| atlas.uv_triangle(*f)));
+            let (low, extent) = (bounds.min, bounds.max - bounds.min);
+            let cell = (extent.max_element() / CELLS).max(1e-12);
+            let size = (extent / cell).floor() + DVec2::ONE;
             let (width, height) = (size.x as usize, size.y as usize);
             let mut grid = Grid { corner: low, cell, width, values: vec![1.0; width * height] };
             for face in faces {

@@ -21,22 +21,20 @@ mod tests;
 mod void;
 mod weld;
 
-use glam::DVec2;
 use serde_json::{Map, Value, json};
 
 use self::arrange::Sheet;
-use self::candidates::CandidateParams;
 use self::edges::EdgeCutter;
 use self::field::Field;
 use self::panel::Raster;
-use self::params::{BoxCutter, Cuts, Search};
+use self::params::{BoxCutter, Cuts};
 use self::search::{Limits, SearchContext, SearchResult, SearchState, search};
 use super::options::Options;
-use super::pack::{keeps_input, lay_out};
-use super::stage::{SheetInfo, Staged};
+use super::pack::{finished, lay_out};
+use super::stage::{SheetInfo, StageInput, Staged};
 use crate::atlas::OverlapMode;
+use crate::atlas::bvh::Bounds;
 use crate::atlas::{Atlas, ChartId, Charts, HalfEdge, Mesh, Topology, clusters};
-use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
 use crate::packing::Pitch;
 use crate::packing::{Pack, PackSearch, Rotation};
@@ -60,17 +58,11 @@ const EFFORT: f64 = 0.1;
 ///
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
-pub(crate) fn box_cutter(
-    atlas: &Atlas,
-    sheet_info: &SheetInfo,
-    weights: Option<&[[f64; 3]]>,
-    params: &BoxCutter,
-    options: &Options,
-    context: &Context,
-) -> Result<Staged> {
+pub(crate) fn box_cutter(input: &StageInput<'_>, weights: Option<&[[f64; 3]]>, params: &BoxCutter) -> Result<Staged> {
+    let StageInput { atlas, sheet_info, options, context, .. } = *input;
     let unit = longest_side(atlas);
     let mut figures = Map::new();
-    let clean = without_overlaps(atlas, sheet_info, weights, params, options, &mut figures, context)?;
+    let clean = without_overlaps(input, weights, params, &mut figures)?;
 
     let mesh = Mesh::new(clean);
     let charts = Charts::new(mesh.topology());
@@ -83,40 +75,27 @@ pub(crate) fn box_cutter(
     let sheet = sheet(&panels, sheet_info, options);
     let (arrangement, _) = sheet.arrange(&panels, None);
     let Some(arrangement) = arrangement else { return Err(Failure::internal("no strip holds the panels")) };
+    let growth = params.max_boundary_length.map_or(f64::INFINITY, |b| b - 1.0);
+    let usual = || (WORK * growth.max(0.05) * (0.7 + growth)).min(MOST_WORK) as u64;
     let search_context = SearchContext {
         sheet,
-        candidates: CandidateParams {
-            boxes: params.void_boxes as usize,
-            shared: params.void_overlap,
-            shift: params.line_shift,
-            least: params.min_extent * unit,
-            random: params.search == Search::Random,
-            many: params.search == Search::Beam,
-        },
-        field: weights
-            .filter(|_| !along_edges)
-            .map(|_| Field::new(mesh.atlas(), &charts, &corner_weights(mesh.atlas(), weights))),
+        params,
+        least: params.min_extent * unit,
+        field: weights.filter(|_| !along_edges).map(|weights| Field::new(mesh.atlas(), &charts, weights)),
         edges: along_edges.then(|| EdgeCutter::new(&mesh, weights)),
         unit,
         weighted: weights.is_some(),
-    };
-    let limits = Limits {
-        length: params.max_boundary_length.map_or(f64::INFINITY, |b| b * length),
-        target: params.target_packing_efficiency.unwrap_or(f64::INFINITY),
-        charts: params.max_charts.map_or(usize::MAX, |n| n as usize),
-        work: options.work_budget.unwrap_or_else(|| {
-            let growth = params.max_boundary_length.map_or(f64::INFINITY, |b| b - 1.0);
-            (WORK * growth.max(0.05) * (0.7 + growth)).min(MOST_WORK) as u64
-        }),
-        alpha: params.alpha,
-        gain: params.min_improvement,
-        patience: params.patience,
-        beam: if params.search == Search::Beam { params.beam as usize } else { 1 },
-        rounds: params.search == Search::Beam,
+        limits: Limits {
+            length: params.max_boundary_length.map_or(f64::INFINITY, |b| b * length),
+            target: params.target_packing_efficiency.unwrap_or(f64::INFINITY),
+            charts: params.max_charts.map_or(usize::MAX, |n| n as usize),
+            work: options.work_budget.unwrap_or_else(usual),
+        },
+        context,
     };
     let start = SearchState { panels, arrangement, length, weighted: length, cuts: Vec::new() };
-    let found = search(start, &search_context, &limits, context)?;
-    let (state, laid, work) = finish((&mesh, &charts), &found, &search_context, &limits, sheet_info, options, context)?;
+    let found = search(start, &search_context)?;
+    let (state, laid, work) = finish((&mesh, &charts), &found, &search_context, input)?;
     figures.extend([
         ("work".to_owned(), json!(found.work + work)),
         ("candidates".to_owned(), json!(found.tried)),
@@ -135,30 +114,23 @@ pub(crate) fn box_cutter(
             ),
         ));
     }
-    let staged = Staged { atlas: laid, stopped_by: found.stopped_by, figures, kept: false };
-    if keeps_input(atlas, &staged.atlas, sheet_info, options) {
-        return Ok(staged.undone(atlas, sheet_info, context));
-    }
-    Ok(staged)
+    Ok(finished(input, laid, found.stopped_by, figures))
 }
 
 /// Overlap removal and welding (section 4). What it changed lies apart from the rest afterwards.
 fn without_overlaps(
-    atlas: &Atlas,
-    sheet_info: &SheetInfo,
+    input: &StageInput<'_>,
     weights: Option<&[[f64; 3]]>,
     params: &BoxCutter,
-    options: &Options,
     figures: &mut Map<String, Value>,
-    context: &Context,
 ) -> Result<Atlas> {
+    let StageInput { atlas, sheet_info, options, context, .. } = *input;
     let charts = Charts::new(&Topology::new(atlas));
     let together = clusters(atlas, &charts, options.atlas.overlaps);
     // Neither step makes, drops or renumbers faces: what holds of a chart is known by its faces.
     let alone: Vec<bool> =
         charts.of_face.iter().map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1).collect();
     let touchable = |charts: &Charts, chart: ChartId| charts.faces[chart.index()].iter().all(|f| alone[f.index()]);
-    let before = atlas.clone();
     let mut next = atlas.clone();
     let mut tests = 0;
     if params.remove_overlaps {
@@ -189,13 +161,13 @@ fn without_overlaps(
         next = welded.atlas;
     }
     figures.insert("overlap_work".to_owned(), json!(tests));
-    if next == before {
+    if next == *atlas {
         return Ok(next);
     }
     figures.insert("overlap_free_length_ratio".to_owned(), json!(border(&next) / border(atlas).max(1e-300)));
     let changed: Vec<bool> = next
         .faces()
-        .map(|f| before.corners[f.index()] != next.corners[f.index()] || before.uv_triangle(f) != next.uv_triangle(f))
+        .map(|f| atlas.corners[f.index()] != next.corners[f.index()] || atlas.uv_triangle(f) != next.uv_triangle(f))
         .collect();
     let cut: std::collections::BTreeSet<ChartId> = changed
         .iter()
@@ -214,11 +186,9 @@ fn finish(
     (mesh, charts): (&Mesh, &Charts),
     found: &SearchResult,
     search_context: &SearchContext<'_>,
-    limits: &Limits,
-    sheet_info: &SheetInfo,
-    options: &Options,
-    context: &Context,
+    input: &StageInput<'_>,
 ) -> Result<(SearchState, Atlas, u64)> {
+    let StageInput { options, context, .. } = *input;
     let finals = &found.states[..found.states.len().min(FINALS)];
     // The layouts that the search ended with are improved, all a little, the best more.
     let pack = Pack { search: PackSearch::Thorough, ..options.pack.clone() };
@@ -231,11 +201,12 @@ fn finish(
         let layout = start::layout(&cut, &origin, options.atlas.overlaps, state, &search_context.sheet.raster);
         let effort = if options.pack.search == PackSearch::Thorough { 1.0 / FINALS as f64 } else { EFFORT };
         // A small budget of work is small for all that is done.
-        let effort = effort * (limits.work as f64 / USUAL_WORK).min(1.0);
-        let (laid, own) = lay_out(&cut, sheet_info, &own, layout.as_slice(), &[], effort, context)?;
+        let effort = effort * (search_context.limits.work as f64 / USUAL_WORK).min(1.0);
+        let (laid, own) =
+            lay_out(&StageInput { atlas: &cut, options: &own, ..*input }, layout.as_slice(), &[], effort)?;
         work += own;
         // What packing made of it, weighed as in the search.
-        let worth = state.worth(search_context, limits) / state.arrangement.efficiency.max(1e-300) * efficiency(&laid);
+        let worth = state.worth(search_context) / state.arrangement.efficiency.max(1e-300) * efficiency(&laid);
         if best.as_ref().is_none_or(|(most, ..)| worth > *most) {
             best = Some((worth, state, laid));
         }
@@ -252,8 +223,8 @@ fn sheet(panels: &[std::sync::Arc<panel::Panel>], sheet_info: &SheetInfo, option
     let cells = CELLS.iter().find(|(n, _)| panels.len() <= *n).map_or(160.0, |(_, c)| *c);
     let cell = side / cells;
     let longest = panels.iter().map(|p| {
-        let (low, high) = p.outline.bounds();
-        if low.is_finite() { ((high - low).length() + gutter) / cell } else { 0.0 }
+        let bounds = p.outline.bounds();
+        if bounds.min.is_finite() { (bounds.size().length() + gutter) / cell } else { 0.0 }
     });
     let longest = longest.fold(0.0, f64::max).min(1e5) as usize + 4;
     let aspect = options.pack.aspect;
@@ -288,31 +259,23 @@ fn packed_efficiency(atlas: &Atlas, sheet_info: &SheetInfo, options: &Options) -
 
 /// Area of the charts over the area of their boxes, page by page.
 fn efficiency(atlas: &Atlas) -> f64 {
-    let mut boxes = vec![(DVec2::INFINITY, DVec2::NEG_INFINITY); atlas.sheets.len()];
+    let mut boxes = vec![Bounds::EMPTY; atlas.sheets.len()];
     let mut area = 0.0;
     for face in atlas.faces() {
         area += atlas.uv_area(face).abs();
         let own = &mut boxes[usize::from(atlas.page[face.index()])];
-        for p in atlas.uv_triangle(face) {
-            *own = (own.0.min(p), own.1.max(p));
-        }
+        *own = own.union(Bounds::of(&atlas.uv_triangle(face)));
     }
-    let whole: f64 = boxes.iter().filter(|b| b.0.is_finite()).map(|b| (b.1 - b.0).element_product()).sum();
+    let whole: f64 = boxes.iter().filter(|b| b.min.is_finite()).map(|b| b.size().element_product()).sum();
     area / whole.max(1e-300)
 }
 
 fn longest_side(atlas: &Atlas) -> f64 {
-    let points = || atlas.corners.iter().flatten().map(|u| atlas.uv[u.index()]).filter(|p| p.is_finite());
-    let low = points().fold(DVec2::INFINITY, DVec2::min);
-    let high = points().fold(DVec2::NEG_INFINITY, DVec2::max);
-    if low.is_finite() { (high - low).max_element().max(1e-9) } else { 1.0 }
+    let points = atlas.corners.iter().flatten().map(|u| atlas.uv[u.index()]).filter(|p| p.is_finite());
+    let bounds = Bounds::around(points);
+    if bounds.min.is_finite() { bounds.size().max_element().max(1e-9) } else { 1.0 }
 }
 
 fn border(atlas: &Atlas) -> f64 {
     crate::atlas::seams::border_length(atlas, &Topology::new(atlas))
-}
-
-/// The weights by face; no step before the cuts adds or drops faces.
-fn corner_weights(atlas: &Atlas, weights: Option<&[[f64; 3]]>) -> Vec<[f64; 3]> {
-    weights.map_or_else(|| vec![[1.0; 3]; atlas.face_count()], <[_]>::to_vec)
 }

@@ -2,6 +2,8 @@
 
 use glam::DVec2;
 
+use crate::atlas::bvh::Bounds;
+
 /// A polygon with holes: closed loops, outer ones with positive signed area, holes with negative.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Outline {
@@ -150,10 +152,9 @@ impl Outline {
         group(loops)
     }
 
-    /// Least and greatest coordinates.
-    pub fn bounds(&self) -> (DVec2, DVec2) {
-        let points = || self.loops.iter().flatten();
-        (points().fold(DVec2::INFINITY, |m, p| m.min(*p)), points().fold(DVec2::NEG_INFINITY, |m, p| m.max(*p)))
+    /// The least box that holds it.
+    pub fn bounds(&self) -> Bounds {
+        Bounds::of(self.loops.iter().flatten())
     }
 }
 

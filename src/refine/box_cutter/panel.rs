@@ -7,8 +7,8 @@ use glam::{DMat2, DVec2};
 use super::edges::Patch;
 use super::outline::{Line, Outline};
 use super::void::{VoidBox, void_boxes};
-use crate::packing::Rotation;
-use crate::packing::{Mask, Orientation, Pitch, Probe, Shape};
+use crate::atlas::bvh::Bounds;
+use crate::packing::{Mask, Orientation, Pitch, Probe, Rotation, Shape, fill, l1_norm};
 
 /// How panels are rasterised during the search.
 #[derive(Debug, Clone, Copy)]
@@ -60,26 +60,15 @@ pub(crate) struct LocalVoid {
 impl Panel {
     /// A panel that can be cut.
     pub fn new(chart: u32, outline: Outline, patch: Option<Patch>, rotation: Rotation) -> Self {
-        let area = outline.area();
-        Self::with(chart, outline, patch, None, area, rotation)
+        let axes = if rotation == Rotation::Any { best_axes(&outline) } else { 0.0 };
+        let (area, length) = (outline.area(), outline.length());
+        let (shapes, voids) = (OnceLock::new(), OnceLock::new());
+        Panel { chart, outline, area, length, patch, rigid: None, axes, shapes, voids }
     }
 
     /// A panel that stays as it is: what overlaps itself, is several charts, or has no proper border.
     pub fn rigid(chart: u32, outline: Outline, triangles: Vec<[DVec2; 3]>, area: f64, rotation: Rotation) -> Self {
-        Self::with(chart, outline, None, Some(triangles), area, rotation)
-    }
-
-    fn with(
-        chart: u32,
-        outline: Outline,
-        patch: Option<Patch>,
-        rigid: Option<Vec<[DVec2; 3]>>,
-        area: f64,
-        rotation: Rotation,
-    ) -> Self {
-        let axes = if rotation == Rotation::Any { best_axes(&outline) } else { 0.0 };
-        let length = outline.length();
-        Panel { chart, outline, area, length, patch, rigid, axes, shapes: OnceLock::new(), voids: OnceLock::new() }
+        Panel { rigid: Some(triangles), area, ..Panel::new(chart, outline, None, rotation) }
     }
 
     /// Whether it may be cut.
@@ -89,19 +78,13 @@ impl Panel {
 
     /// The middle of its area.
     pub fn middle(&self) -> DVec2 {
-        let (mut sum, mut area) = (DVec2::ZERO, 0.0);
-        let mut add = |t: [DVec2; 3], a: f64| {
-            sum += (t[0] + t[1] + t[2]) / 3.0 * a;
-            area += a;
-        };
         match &self.rigid {
-            Some(triangles) => triangles.iter().for_each(|t| add(*t, (t[1] - t[0]).perp_dot(t[2] - t[0]).abs())),
+            Some(triangles) => middle(triangles.iter().map(|t| (*t, (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()))),
             None => {
-                let origin = self.outline.bounds().0;
-                self.outline.edges().for_each(|(a, b)| add([origin, a, b], (a - origin).perp_dot(b - origin)));
+                let origin = self.outline.bounds().min;
+                middle(self.outline.edges().map(|(a, b)| ([origin, a, b], (a - origin).perp_dot(b - origin))))
             }
         }
-        sum / if area == 0.0 { 1.0 } else { area }
     }
 
     /// The ways round that packing tries, best axes first.
@@ -148,6 +131,14 @@ impl Panel {
     }
 }
 
+/// The middle of triangles that weigh so much each.
+pub(crate) fn middle(triangles: impl Iterator<Item = ([DVec2; 3], f64)>) -> DVec2 {
+    let add =
+        |(sum, area): (DVec2, f64), (t, own): ([DVec2; 3], f64)| (sum + (t[0] + t[1] + t[2]) / 3.0 * own, area + own);
+    let (sum, area) = triangles.fold((DVec2::ZERO, 0.0), add);
+    sum / if area == 0.0 { 1.0 } else { area }
+}
+
 /// The sides of a void box that do not lie on the whole box's own: horizontal ones and vertical ones, as point and direction in cells.
 pub(crate) fn sides(b: &VoidBox, width: usize, height: usize) -> [Vec<(DVec2, DVec2)>; 2] {
     let horizontal = [b.y.0, b.y.1].into_iter().filter(|y| *y > 0 && *y < height);
@@ -176,52 +167,21 @@ pub(crate) fn rasterise(
     let turned: Vec<Vec<DVec2>> =
         outline.loops.iter().map(|l| l.iter().map(|p| linear * *p / cell).collect()).collect();
     let grow = raster.inflate / cell;
-    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
     let inner = || triangles.into_iter().flatten().map(|t| t.map(|p| linear * p / cell));
-    for p in turned.iter().flatten().copied().chain(inner().flatten()) {
-        low = low.min(p);
-        high = high.max(p);
-    }
-    if !low.is_finite() {
-        (low, high) = (DVec2::ZERO, DVec2::ZERO);
-    }
+    let points = turned.iter().flatten().copied().chain(inner().flatten());
+    let Bounds { min: low, max: high } = Bounds::around(points).or_zero();
     let anchor = low - DVec2::splat(grow + 2e-3);
     let size = (high + DVec2::splat(grow + 2e-3) - anchor).ceil().max(DVec2::ONE);
     let (width, height) = (size.x as usize, size.y as usize);
     let mut mask = Mask::new(width, height);
-    let mut rows: Vec<Vec<f64>> = vec![Vec::new(); height];
-    for l in &turned {
-        for i in 0..l.len() {
-            let (a, b) = (l[i] - anchor, l[(i + 1) % l.len()] - anchor);
-            let (top, bottom) = if a.y < b.y { (a, b) } else { (b, a) };
-            // Rows whose middle the edge crosses.
-            let first = (top.y - 0.5).ceil().max(0.0) as usize;
-            let slope = (bottom.x - top.x) / (bottom.y - top.y);
-            for (row, xs) in rows.iter_mut().enumerate().skip(first) {
-                let y = row as f64 + 0.5;
-                if y >= bottom.y {
-                    break;
-                }
-                xs.push(top.x + slope * (y - top.y));
-            }
-            border(&mut mask, a, b, grow);
-        }
-    }
+    let edge = |l: &Vec<DVec2>, i: usize| [l[i] - anchor, l[(i + 1) % l.len()] - anchor];
+    let edges: Vec<[DVec2; 2]> = turned.iter().flat_map(|l| (0..l.len()).map(|i| edge(l, i))).collect();
+    edges.iter().for_each(|[a, b]| border(&mut mask, *a, *b, grow));
     for t in inner() {
         mask.add_triangle(&t.map(|p| p - anchor));
     }
-    if triangles.is_some() {
-        return (mask, anchor * cell);
-    }
-    for (row, xs) in rows.iter_mut().enumerate() {
-        xs.sort_by(f64::total_cmp);
-        for pair in xs.chunks_exact(2) {
-            let first = (pair[0] - 0.5).ceil().max(0.0) as usize;
-            let last = (pair[1] - 0.5).floor();
-            if last >= first as f64 {
-                mask.set_run(row, first, (last as usize).min(width - 1));
-            }
-        }
+    if triangles.is_none() {
+        fill(&edges, &mut mask);
     }
     (mask, anchor * cell)
 }
@@ -272,10 +232,7 @@ fn best_axes(outline: &Outline) -> f64 {
     let rough = |t: usize| weight.iter().zip(&norms[t..]).map(|(w, n)| w * n).sum::<f64>();
     let costs: Vec<f64> = (0..BINS).map(rough).collect();
     let best = (0..BINS).min_by(|&a, &b| costs[a].total_cmp(&costs[b])).unwrap_or(0) as f64;
-    let exact = |t: f64| {
-        let (sin, cos) = t.sin_cos();
-        edges.iter().map(|d| (d.x * cos - d.y * sin).abs() + (d.x * sin + d.y * cos).abs()).sum::<f64>()
-    };
+    let exact = |t: f64| l1_norm(&edges, t);
     let near = (-4..=4).map(|k| step * (best + f64::from(k) / 4.0));
     let found = near.map(|t| (exact(t), t)).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0));
     // What is upright stays exactly so.

@@ -54,7 +54,7 @@ impl Stage for BoxCutter {
 
     fn run(&self, input: &StageInput<'_>) -> Result<Staged> {
         let weights = input.corner_weights();
-        super::box_cutter(input.atlas, input.sheet_info, weights.as_deref(), self, input.options, input.context)
+        super::box_cutter(input, weights.as_deref(), self)
     }
 }
 

@@ -5,12 +5,13 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::arrange::{Arrangement, Sheet};
-use super::candidates::{Candidate, CandidateParams};
+use super::candidates::Candidate;
 use super::edges::EdgeCutter;
 use super::field::Field;
 use super::lines::chords;
 use super::outline::{Chord, Line};
 use super::panel::Panel;
+use super::params::{BoxCutter, Search};
 use crate::atlas::HalfEdge;
 use crate::context::Context;
 use crate::error::Result;
@@ -51,8 +52,10 @@ pub(crate) struct SearchState {
 pub(crate) struct SearchContext<'a> {
     /// How panels are arranged.
     pub sheet: Sheet,
-    /// How candidates are chosen.
-    pub candidates: CandidateParams,
+    /// How candidates are chosen, and what is preferred.
+    pub params: &'a BoxCutter,
+    /// Smallest extent of a panel, in texels.
+    pub least: f64,
     /// Importance, where cuts are straight.
     pub field: Option<Field>,
     /// Where cuts follow the edges of the mesh.
@@ -61,9 +64,20 @@ pub(crate) struct SearchContext<'a> {
     pub unit: f64,
     /// Whether there is any importance.
     pub weighted: bool,
+    /// When the search ends.
+    pub limits: Limits,
+    /// Progress, cancellation, seed and clock.
+    pub context: &'a Context,
 }
 
-/// When a search ends, and what it prefers.
+impl SearchContext<'_> {
+    /// Whether more is done than is published.
+    pub fn is_beam(&self) -> bool {
+        self.params.search == Search::Beam
+    }
+}
+
+/// When a search ends.
 #[derive(Debug, Clone)]
 pub(crate) struct Limits {
     /// Longest border in texels.
@@ -74,16 +88,6 @@ pub(crate) struct Limits {
     pub charts: usize,
     /// Most work.
     pub work: u64,
-    /// Exponent of the score.
-    pub alpha: f64,
-    /// Gain that counts as an improvement.
-    pub gain: f64,
-    /// Steps without improvement before the search ends.
-    pub patience: u32,
-    /// States carried on at each step.
-    pub beam: usize,
-    /// Whether to go on after the first round.
-    pub rounds: bool,
 }
 
 /// What a search found.
@@ -112,7 +116,7 @@ const IDLE_ROUNDS: usize = 60;
 
 impl SearchState {
     /// Cuts the panels; `None` when nothing is cut. The arrangement is still the old one's.
-    pub fn execute(&self, candidate: &Candidate, search_context: &SearchContext<'_>) -> Option<SearchState> {
+    pub fn execute(&self, candidate: &Candidate, search: &SearchContext<'_>) -> Option<SearchState> {
         let mut next = self.clone();
         let mut gone = vec![false; self.panels.len()];
         let mut added = Vec::new();
@@ -121,7 +125,7 @@ impl SearchState {
             for line in lines {
                 let mut after = Vec::new();
                 for part in parts {
-                    match next.cut(&part, line, search_context) {
+                    match next.cut(&part, line, search) {
                         Some(cut) => {
                             gone[*i] = true;
                             after.extend(cut.into_iter().map(Arc::new));
@@ -145,47 +149,41 @@ impl SearchState {
     }
 
     /// Cuts one panel along a line and books the cut; `None` when there is nothing to cut.
-    fn cut(&mut self, panel: &Panel, line: &Line, search_context: &SearchContext<'_>) -> Option<Vec<Panel>> {
-        let own = chords(&panel.outline, line, search_context.candidates.least);
+    fn cut(&mut self, panel: &Panel, line: &Line, search: &SearchContext<'_>) -> Option<Vec<Panel>> {
+        let own = chords(&panel.outline, line, search.least);
         if own.is_empty() {
             return None;
         }
-        let rotation = search_context.sheet.raster.rotation;
-        if let (Some(edges), Some(patch)) = (&search_context.edges, &panel.patch) {
-            let cut = edges.cut(&panel.outline, patch, line, &own, search_context.candidates.least)?;
+        let rotation = search.sheet.raster.rotation;
+        if let (Some(edges), Some(patch)) = (&search.edges, &panel.patch) {
+            let cut = edges.cut(&panel.outline, patch, line, &own, search.least)?;
             self.length += 2.0 * cut.length;
             self.weighted += 2.0 * cut.weighted;
             self.cuts.push(Arc::new(Cut::Edges(cut.cuts)));
             let panel = |(outline, patch)| Panel::new(panel.chart, outline, Some(patch), rotation);
             return Some(cut.parts.into_iter().map(panel).collect());
         }
-        Some(self.along(panel, line, &own, search_context))
+        Some(self.along(panel, line, &own, search))
     }
 
     /// Cuts one panel straight along chords of a line and books the cut.
-    fn along(&mut self, panel: &Panel, line: &Line, own: &[Chord], search_context: &SearchContext<'_>) -> Vec<Panel> {
+    fn along(&mut self, panel: &Panel, line: &Line, own: &[Chord], search: &SearchContext<'_>) -> Vec<Panel> {
         for c in own {
             self.length += 2.0 * c.length();
-            let weighted =
-                search_context.field.as_ref().map_or(c.length(), |f| f.length(panel.chart, line, c.from, c.to));
+            let weighted = search.field.as_ref().map_or(c.length(), |f| f.length(panel.chart, line, c.from, c.to));
             self.weighted += 2.0 * weighted;
         }
         let parts = panel.outline.split(line, own);
         let chords = own.iter().map(|c| (c.from, c.to)).collect();
         self.cuts.push(Arc::new(Cut::Straight { chart: panel.chart, line: *line, chords }));
-        let rotation = search_context.sheet.raster.rotation;
+        let rotation = search.sheet.raster.rotation;
         parts.into_iter().map(|o| Panel::new(panel.chart, o, None, rotation)).collect()
     }
 
     /// The state with one to three of its cuts taken back, or a stretch of them. Cuts that ended at one of those run on to
     /// the next border.
-    fn without_some(
-        &self,
-        start: &SearchState,
-        search_context: &SearchContext<'_>,
-        random: &mut Random,
-        work: &mut u64,
-    ) -> Option<SearchState> {
+    fn without_some(&self, start: &SearchState, own: &mut CutSearch<'_>) -> Option<SearchState> {
+        let CutSearch { context: search, random, found } = own;
         let n = self.cuts.len();
         let count = 1 + random.below(n.div_ceil(2).min(4));
         let mut gone = vec![false; n];
@@ -194,31 +192,29 @@ impl SearchState {
         }
         let mut next = start.clone();
         for (cut, _) in self.cuts.iter().zip(&gone).filter(|(_, gone)| !**gone) {
-            next.again(cut, search_context);
+            next.again(cut, search);
         }
-        let (arrangement, own) = search_context.sheet.arrange(&next.panels, Some(self.arrangement.layout.width));
-        *work += own;
+        let (arrangement, work) = search.sheet.arrange(&next.panels, Some(self.arrangement.layout.width));
+        found.work += work;
         next.arrangement = arrangement?;
         Some(next)
     }
 
     /// Makes a straight cut again, in whatever panels its chords lie now.
-    fn again(&mut self, cut: &Cut, search_context: &SearchContext<'_>) {
+    fn again(&mut self, cut: &Cut, search: &SearchContext<'_>) {
         let Cut::Straight { chart, line, chords: wanted } = cut else { return };
         let mut panels = Vec::with_capacity(self.panels.len() + 1);
         for panel in std::mem::take(&mut self.panels) {
             let meant = |c: &Chord| wanted.iter().any(|(a, b)| (c.from..c.to).contains(&((a + b) * 0.5)));
-            let cut = (panel.chart == *chart && panel.cuttable())
-                .then(|| {
-                    chords(&panel.outline, line, search_context.candidates.least)
-                        .into_iter()
-                        .filter(meant)
-                        .collect::<Vec<_>>()
-                })
-                .filter(|own| !own.is_empty());
-            match cut {
-                Some(own) => panels.extend(self.along(&panel, line, &own, search_context).into_iter().map(Arc::new)),
-                None => panels.push(panel),
+            let own = if panel.chart == *chart && panel.cuttable() {
+                chords(&panel.outline, line, search.least).into_iter().filter(meant).collect()
+            } else {
+                Vec::new()
+            };
+            if own.is_empty() {
+                panels.push(panel);
+            } else {
+                panels.extend(self.along(&panel, line, &own, search).into_iter().map(Arc::new));
             }
         }
         self.panels = panels;
@@ -226,17 +222,18 @@ impl SearchState {
 
     /// What the search is after: packing efficiency; where parts of the surface matter more, the score, in which cuts through them
     /// weigh.
-    pub fn worth(&self, search_context: &SearchContext<'_>, limits: &Limits) -> f64 {
-        if search_context.weighted {
-            self.score(search_context.unit, limits.alpha)
-        } else {
-            self.arrangement.efficiency
-        }
+    pub fn worth(&self, search: &SearchContext<'_>) -> f64 {
+        if search.weighted { self.score(search) } else { self.arrangement.efficiency }
     }
 
     /// The score s = p / b^alpha, b relative to the input's box (section 3.2).
-    fn score(&self, unit: f64, alpha: f64) -> f64 {
-        self.arrangement.efficiency / (self.weighted / unit).powf(alpha)
+    fn score(&self, search: &SearchContext<'_>) -> f64 {
+        self.arrangement.efficiency / (self.weighted / search.unit).powf(search.params.alpha)
+    }
+
+    /// Whether the cuts may be the same: in another order they have the same length.
+    fn is_like(&self, other: &SearchState) -> bool {
+        (self.length - other.length).abs() <= 1e-9 * self.length && self.panels.len() == other.panels.len()
     }
 }
 
@@ -245,158 +242,160 @@ impl SearchState {
 ///
 /// # Errors
 /// `canceled`.
-pub(crate) fn search(
-    start: SearchState,
-    search_context: &SearchContext<'_>,
-    limits: &Limits,
-    context: &Context,
-) -> Result<SearchResult> {
-    let mut found = SearchResult { states: vec![start.clone()], stopped_by: "no_improvement", work: 0, tried: 0 };
-    let mut random = Random::new(context.seed);
-    let mut stopped_by = run(&start, 1, search_context, limits, &mut random, &mut found, context)?;
-    if limits.beam > 1 && over(&found, limits, context).is_none() {
+pub(crate) fn search(start: SearchState, context: &SearchContext<'_>) -> Result<SearchResult> {
+    let found = SearchResult { states: vec![start.clone()], stopped_by: "no_improvement", work: 0, tried: 0 };
+    let mut own = CutSearch { context, random: Random::new(context.context.seed), found };
+    let most = context.limits.work;
+    let mut stopped_by = own.run(&start, 1, most)?;
+    let beam = if context.is_beam() { context.params.beam as usize } else { 1 };
+    if beam > 1 && own.over(most).is_none() {
         // The wide beam leaves work for what follows: it need not see the end.
-        let half = Limits { work: found.work + (limits.work - found.work) / 2, ..limits.clone() };
-        stopped_by = run(&start, limits.beam, search_context, &half, &mut random, &mut found, context)?;
+        stopped_by = own.run(&start, beam, own.found.work + (most - own.found.work) / 2)?;
     }
     let mut idle = 0;
-    while limits.rounds && search_context.edges.is_none() && idle < IDLE_ROUNDS {
-        if let Some(limit) = over(&found, limits, context) {
+    while context.is_beam() && context.edges.is_none() && idle < IDLE_ROUNDS {
+        if let Some(limit) = own.over(most) {
             stopped_by = limit;
             break;
         }
-        let cut: Vec<&SearchState> = found.states.iter().filter(|s| !s.cuts.is_empty()).take(3).collect();
-        let Some(from) = cut.get(random.below(cut.len())).map(|s| (*s).clone()) else { break };
-        let Some(next) = from.without_some(&start, search_context, &mut random, &mut found.work) else {
+        let cut: Vec<&SearchState> = own.found.states.iter().filter(|s| !s.cuts.is_empty()).take(3).collect();
+        let Some(from) = cut.get(own.random.below(cut.len())).map(|s| (*s).clone()) else { break };
+        let Some(next) = from.without_some(&start, &mut own) else {
             idle += 1;
             continue;
         };
-        let before = found.states[0].worth(search_context, limits);
-        run(&next, ROUND_BEAM, search_context, limits, &mut random, &mut found, context)?;
-        idle = if found.states[0].worth(search_context, limits) > before + limits.gain { 0 } else { idle + 1 };
+        let before = own.best();
+        own.run(&next, ROUND_BEAM, most)?;
+        idle = if own.best() > before + context.params.min_improvement { 0 } else { idle + 1 };
     }
-    found.stopped_by = stopped_by;
-    Ok(found)
+    Ok(SearchResult { stopped_by, ..own.found })
 }
 
-/// The limit that was met, of those that end all rounds.
-fn over(found: &SearchResult, limits: &Limits, context: &Context) -> Option<&'static str> {
-    if found.states[0].arrangement.efficiency >= limits.target {
-        return Some("packing_efficiency");
-    }
-    if found.work >= limits.work {
-        return Some("work_budget");
-    }
-    context.out_of_time().then_some("time_limit")
+/// A search under way.
+struct CutSearch<'a> {
+    context: &'a SearchContext<'a>,
+    random: Random,
+    found: SearchResult,
 }
 
-/// One round; why it ended.
-fn run(
-    start: &SearchState,
-    beam: usize,
-    search_context: &SearchContext<'_>,
-    limits: &Limits,
-    random: &mut Random,
-    found: &mut SearchResult,
-    context: &Context,
-) -> Result<&'static str> {
-    let mut front = vec![start.clone()];
-    keep(&mut found.states, start, search_context, limits);
-    let mut failures = 0;
-    loop {
-        context.check()?;
-        if let Some(limit) = over(found, limits, context) {
-            return Ok(limit);
+impl CutSearch<'_> {
+    /// Worth of the best state.
+    fn best(&self) -> f64 {
+        self.found.states[0].worth(self.context)
+    }
+
+    /// The limit that was met, of those that end all rounds; `most` is that on work.
+    fn over(&self, most: u64) -> Option<&'static str> {
+        if self.found.states[0].arrangement.efficiency >= self.context.limits.target {
+            return Some("packing_efficiency");
         }
-        context.step(0.1 + 0.6 * (found.work as f64 / limits.work.max(1) as f64).min(1.0), "cutting")?;
-        let next = match step(&front, search_context, limits, random, found, context)? {
-            Ok(next) => next,
-            Err(limit) => return Ok(limit),
-        };
-        let before = found.states[0].worth(search_context, limits);
-        for state in &next {
-            keep(&mut found.states, state, search_context, limits);
+        if self.found.work >= most {
+            return Some("work_budget");
         }
-        failures = if found.states[0].worth(search_context, limits) > before + limits.gain { 0 } else { failures + 1 };
-        // Of many panels each cut helps little.
-        let patience =
-            if limits.rounds { limits.patience.max(front[0].panels.len() as u32 / 8) } else { limits.patience };
-        if failures >= patience {
-            return Ok("no_improvement");
-        }
-        front = next;
-        front.sort_by(|a, b| {
-            b.score(search_context.unit, limits.alpha).total_cmp(&a.score(search_context.unit, limits.alpha))
-        });
-        front.truncate(beam);
+        self.context.context.out_of_time().then_some("time_limit")
     }
-}
 
-/// All candidates of all states, executed and arranged; or the limit that leaves none.
-fn step(
-    front: &[SearchState],
-    search_context: &SearchContext<'_>,
-    limits: &Limits,
-    random: &mut Random,
-    found: &mut SearchResult,
-    context: &Context,
-) -> Result<std::result::Result<Vec<SearchState>, &'static str>> {
-    let mut jobs: Vec<(usize, Candidate)> = Vec::new();
-    for (i, state) in front.iter().enumerate() {
-        jobs.extend(state.candidates(search_context, random).into_iter().map(|c| (i, c)));
-    }
-    context.check()?;
-    let executed: Vec<Option<SearchState>> =
-        jobs.par_iter().map(|(i, c)| front[*i].execute(c, search_context)).collect();
-    let mut cut: Vec<(usize, SearchState)> =
-        executed.into_iter().enumerate().filter_map(|(j, s)| Some((j, s?))).collect();
-    let any = !cut.is_empty();
-    let within = cut.len();
-    cut.retain(|(_, s)| s.length <= limits.length);
-    let too_long = within > cut.len();
-    cut.retain(|(_, s)| s.panels.len() <= limits.charts);
-    if cut.is_empty() {
-        return Ok(Err(match (any, too_long) {
-            (false, _) => "no_improvement",
-            (true, true) => "boundary_length",
-            (true, false) => "charts",
-        }));
-    }
-    // The same cuts in another order have the same length.
-    cut.sort_by(|(_, a), (_, b)| a.length.total_cmp(&b.length).then(a.panels.len().cmp(&b.panels.len())));
-    cut.dedup_by(|(_, a), (_, b)| (a.length - b.length).abs() <= 1e-9 * b.length && a.panels.len() == b.panels.len());
-    let mut next = arranged(cut, search_context, found, context)?;
-    if limits.rounds {
-        let more = together(&next, &jobs, front, search_context, limits);
-        next.extend(arranged(more, search_context, found, context)?);
-    }
-    Ok(if next.is_empty() { Err("no_improvement") } else { Ok(next.into_iter().map(|n| n.1).collect()) })
-}
-
-/// The states, arranged anew.
-fn arranged(
-    cut: Vec<(usize, SearchState)>,
-    search_context: &SearchContext<'_>,
-    found: &mut SearchResult,
-    context: &Context,
-) -> Result<Vec<(usize, SearchState)>> {
-    let arranged: Vec<_> = cut
-        .par_iter()
-        .map(|(_, s)| {
+    /// One round, within so much work; why it ended.
+    fn run(&mut self, start: &SearchState, beam: usize, most: u64) -> Result<&'static str> {
+        let SearchContext { params, context, .. } = *self.context;
+        let mut front = vec![start.clone()];
+        self.keep(start);
+        let mut failures = 0;
+        loop {
             context.check()?;
-            Ok(search_context.sheet.arrange(&s.panels, Some(s.arrangement.layout.width)))
-        })
-        .collect::<Result<_>>()?;
-    found.tried += cut.len();
-    let mut next = Vec::with_capacity(cut.len());
-    for ((job, mut state), (arrangement, work)) in cut.into_iter().zip(arranged) {
-        found.work += work;
-        if let Some(arrangement) = arrangement {
-            state.arrangement = arrangement;
-            next.push((job, state));
+            if let Some(limit) = self.over(most) {
+                return Ok(limit);
+            }
+            context.step(0.1 + 0.6 * (self.found.work as f64 / most.max(1) as f64).min(1.0), "cutting")?;
+            let next = match self.step(&front)? {
+                Ok(next) => next,
+                Err(limit) => return Ok(limit),
+            };
+            let before = self.best();
+            next.iter().for_each(|state| self.keep(state));
+            failures = if self.best() > before + params.min_improvement { 0 } else { failures + 1 };
+            // Of many panels each cut helps little.
+            let least = if self.context.is_beam() { front[0].panels.len() as u32 / 8 } else { 0 };
+            if failures >= params.patience.max(least) {
+                return Ok("no_improvement");
+            }
+            front = next;
+            front.sort_by(|a, b| b.score(self.context).total_cmp(&a.score(self.context)));
+            front.truncate(beam);
         }
     }
-    Ok(next)
+
+    /// All candidates of all states, executed and arranged; or the limit that leaves none.
+    fn step(&mut self, front: &[SearchState]) -> Result<std::result::Result<Vec<SearchState>, &'static str>> {
+        let search = self.context;
+        let mut jobs: Vec<(usize, Candidate)> = Vec::new();
+        for (i, state) in front.iter().enumerate() {
+            jobs.extend(state.candidates(search, &mut self.random).into_iter().map(|c| (i, c)));
+        }
+        search.context.check()?;
+        let executed: Vec<Option<SearchState>> = jobs.par_iter().map(|(i, c)| front[*i].execute(c, search)).collect();
+        let mut cut: Vec<(usize, SearchState)> =
+            executed.into_iter().enumerate().filter_map(|(j, s)| Some((j, s?))).collect();
+        let any = !cut.is_empty();
+        let within = cut.len();
+        cut.retain(|(_, s)| s.length <= search.limits.length);
+        let too_long = within > cut.len();
+        cut.retain(|(_, s)| s.panels.len() <= search.limits.charts);
+        if cut.is_empty() {
+            return Ok(Err(match (any, too_long) {
+                (false, _) => "no_improvement",
+                (true, true) => "boundary_length",
+                (true, false) => "charts",
+            }));
+        }
+        cut.sort_by(|(_, a), (_, b)| a.length.total_cmp(&b.length).then(a.panels.len().cmp(&b.panels.len())));
+        cut.dedup_by(|(_, a), (_, b)| b.is_like(a));
+        let mut next = self.arranged(cut)?;
+        if search.is_beam() {
+            let more = together(&next, &jobs, front, search);
+            next.extend(self.arranged(more)?);
+        }
+        Ok(if next.is_empty() { Err("no_improvement") } else { Ok(next.into_iter().map(|n| n.1).collect()) })
+    }
+
+    /// The states, arranged anew.
+    fn arranged(&mut self, cut: Vec<(usize, SearchState)>) -> Result<Vec<(usize, SearchState)>> {
+        let search = self.context;
+        let arranged: Vec<_> = cut
+            .par_iter()
+            .map(|(_, s)| {
+                search.context.check()?;
+                Ok(search.sheet.arrange(&s.panels, Some(s.arrangement.layout.width)))
+            })
+            .collect::<Result<_>>()?;
+        self.found.tried += cut.len();
+        let mut next = Vec::with_capacity(cut.len());
+        for ((job, mut state), (arrangement, work)) in cut.into_iter().zip(arranged) {
+            self.found.work += work;
+            if let Some(arrangement) = arrangement {
+                state.arrangement = arrangement;
+                next.push((job, state));
+            }
+        }
+        Ok(next)
+    }
+
+    /// Keeps the best states by their worth, then by length.
+    fn keep(&mut self, state: &SearchState) {
+        let worth = |s: &SearchState| s.worth(self.context);
+        let best = &mut self.found.states;
+        if best.iter().any(|b| b.is_like(state) && worth(b) >= worth(state)) {
+            return;
+        }
+        best.retain(|b| !b.is_like(state));
+        let order =
+            |a: &SearchState, b: &SearchState| worth(b).total_cmp(&worth(a)).then(a.length.total_cmp(&b.length));
+        let place = best.partition_point(|b| order(b, state).is_le());
+        if place < FINALISTS {
+            best.insert(place, state.clone());
+            best.truncate(FINALISTS);
+        }
+    }
 }
 
 /// Several good candidates of one state at once, each in panels of its own: where charts are many, one cut at a time takes long.
@@ -404,14 +403,12 @@ fn together(
     next: &[(usize, SearchState)],
     jobs: &[(usize, Candidate)],
     front: &[SearchState],
-    search_context: &SearchContext<'_>,
-    limits: &Limits,
+    search: &SearchContext<'_>,
 ) -> Vec<(usize, SearchState)> {
     let mut lots: Vec<(usize, Candidate)> = Vec::new();
     for parent in 0..front.len().min(JOINED_PARENTS) {
         let mut own: Vec<&(usize, SearchState)> = next.iter().filter(|(j, _)| jobs[*j].0 == parent).collect();
-        let score = |s: &SearchState| s.score(search_context.unit, limits.alpha);
-        own.sort_by(|a, b| score(&b.1).total_cmp(&score(&a.1)).then(a.0.cmp(&b.0)));
+        own.sort_by(|a, b| b.1.score(search).total_cmp(&a.1.score(search)).then(a.0.cmp(&b.0)));
         let mut lines: Vec<(usize, Vec<Line>)> = Vec::new();
         let mut count = 0;
         for (job, _) in own {
@@ -427,24 +424,7 @@ fn together(
         }
     }
     lots.into_par_iter()
-        .filter_map(|(parent, c)| Some((usize::MAX, front[parent].execute(&c, search_context)?)))
-        .filter(|(_, s)| s.length <= limits.length && s.panels.len() <= limits.charts)
+        .filter_map(|(parent, c)| Some((usize::MAX, front[parent].execute(&c, search)?)))
+        .filter(|(_, s)| s.length <= search.limits.length && s.panels.len() <= search.limits.charts)
         .collect()
-}
-
-/// Keeps the best states by their worth, then by length.
-fn keep(best: &mut Vec<SearchState>, state: &SearchState, search_context: &SearchContext<'_>, limits: &Limits) {
-    let worth = |s: &SearchState| s.worth(search_context, limits);
-    let same =
-        |b: &SearchState| (b.length - state.length).abs() <= 1e-9 * b.length && b.panels.len() == state.panels.len();
-    if best.iter().any(|b| same(b) && worth(b) >= worth(state)) {
-        return;
-    }
-    best.retain(|b| !same(b));
-    let order = |a: &SearchState, b: &SearchState| worth(b).total_cmp(&worth(a)).then(a.length.total_cmp(&b.length));
-    let place = best.partition_point(|b| order(b, state).is_le());
-    if place < FINALISTS {
-        best.insert(place, state.clone());
-        best.truncate(FINALISTS);
-    }
 }

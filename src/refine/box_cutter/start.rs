@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::edges::Patch;
 use super::outline::Outline;
-use super::panel::{Panel, Raster};
+use super::panel::{Panel, Raster, middle};
 use super::search::{Cut, SearchState};
 use crate::atlas::{
     Atlas, ChartId, Charts, Clusters, FaceId, LineCutter, Loops, Mesh, OverlapMode, Segment, Topology, clusters,
@@ -128,13 +128,7 @@ pub(crate) fn layout(
     for own in &together.charts {
         let faces = || own.iter().flat_map(|c| charts.faces[c.index()].iter().copied());
         let chart = origin[faces().next()?.index()].0;
-        let (mut sum, mut area) = (DVec2::ZERO, 0.0);
-        for f in faces() {
-            let (t, a) = (atlas.uv_triangle(f), atlas.uv_area(f).abs());
-            sum += (t[0] + t[1] + t[2]) / 3.0 * a;
-            area += a;
-        }
-        let middle = sum / area.max(1e-300);
+        let middle = middle(faces().map(|f| (atlas.uv_triangle(f), atlas.uv_area(f).abs())));
         let place = free
             .iter()
             .enumerate()
@@ -144,7 +138,7 @@ pub(crate) fn layout(
         let (_, _, panel) = free.swap_remove(place);
         let spot = state.arrangement.layout.spots[panel]?;
         let orientation = state.panels[panel].orientations(raster)[spot.orientation as usize];
-        let corner = DVec2::new(f64::from(spot.x), f64::from(spot.y)) * raster.cell + DVec2::splat(raster.inflate);
+        let corner = spot.corner() * raster.cell + DVec2::splat(raster.inflate);
         places.push((orientation, corner));
     }
     let layout = &state.arrangement.layout;

@@ -6,6 +6,7 @@ use super::params::{BoxCutter, Cuts, Search};
 use super::*;
 use crate::atlas::testing::{join, sheet};
 use crate::atlas::{Exactness, FaceId, check, overlaps};
+use crate::context::Context;
 use crate::packing::Gutter;
 use crate::refine::options::IfLarger;
 
@@ -58,8 +59,19 @@ fn run(atlas: &Atlas, params: &BoxCutter, weights: Option<&[[f64; 3]]>) -> Stage
     run_with(atlas, params, weights, &options(0))
 }
 
+fn cut(
+    atlas: &Atlas,
+    sheet_info: &SheetInfo,
+    weights: Option<&[[f64; 3]]>,
+    params: &BoxCutter,
+    options: &Options,
+    context: &Context,
+) -> Result<Staged> {
+    box_cutter(&StageInput { atlas, sheet_info, importance: None, options, context }, weights, params)
+}
+
 fn run_with(atlas: &Atlas, params: &BoxCutter, weights: Option<&[[f64; 3]]>, options: &Options) -> Staged {
-    let staged = box_cutter(atlas, &sheet_info(), weights, params, options, &Context::silent()).unwrap();
+    let staged = cut(atlas, &sheet_info(), weights, params, options, &Context::silent()).unwrap();
     check(atlas, &staged.atlas, Exactness::Exact).unwrap();
     let charts = Charts::new(&Topology::new(&staged.atlas));
     let left = overlaps(&staged.atlas, &charts, 10);
@@ -101,7 +113,7 @@ fn every_limit_is_kept_and_named() {
     assert!(["work_budget", "no_improvement"].contains(&fourth.stopped_by), "{}", fourth.stopped_by);
     assert!(efficiency(&fourth.atlas) >= efficiency(&third.atlas));
     let context = Context::silent().with_time_limit(Some(std::time::Duration::ZERO));
-    let fifth = box_cutter(&atlas, &sheet_info(), None, &BoxCutter::default(), &options(0), &context).unwrap();
+    let fifth = cut(&atlas, &sheet_info(), None, &BoxCutter::default(), &options(0), &context).unwrap();
     assert_eq!((fifth.stopped_by, figure(&fifth, "cuts")), ("time_limit", 0.0));
 }
 
@@ -116,7 +128,7 @@ fn cuts_along_edges_split_no_triangle() {
     assert!((grown - figure(&staged, "boundary_length_ratio")).abs() < 1e-6);
     let animated = SheetInfo { animated: true, ..sheet_info() };
     let auto = BoxCutter { cuts: Cuts::Auto, ..params };
-    let staged = box_cutter(&atlas, &animated, None, &auto, &options(0), &Context::silent()).unwrap();
+    let staged = cut(&atlas, &animated, None, &auto, &options(0), &Context::silent()).unwrap();
     assert_eq!(staged.atlas.face_count(), atlas.face_count(), "skinned and morphed surfaces are cut along edges");
 }
 
@@ -178,7 +190,7 @@ fn shared_charts_stay_together_and_are_held_back() {
     let atlas = join(&l, &l);
     let mut options = options(0);
     options.atlas.overlaps = OverlapMode::Stack;
-    let staged = box_cutter(&atlas, &sheet_info(), None, &BoxCutter::default(), &options, &Context::silent()).unwrap();
+    let staged = cut(&atlas, &sheet_info(), None, &BoxCutter::default(), &options, &Context::silent()).unwrap();
     assert_eq!(figure(&staged, "held_back"), 1.0);
     assert_eq!(staged.atlas.face_count(), atlas.face_count());
     let half = l.face_count();
@@ -192,7 +204,7 @@ fn shared_charts_stay_together_and_are_held_back() {
 fn a_gutter_stays_free_between_the_panels() {
     let atlas = corner(24, 6);
     let params = BoxCutter { max_boundary_length: Some(1.5), ..BoxCutter::default() };
-    let staged = box_cutter(&atlas, &sheet_info(), None, &params, &options(2), &Context::silent()).unwrap();
+    let staged = cut(&atlas, &sheet_info(), None, &params, &options(2), &Context::silent()).unwrap();
     let charts = Charts::new(&Topology::new(&staged.atlas));
     assert!(charts.len() >= 2);
     let points = |c: &[FaceId]| c.iter().flat_map(|f| staged.atlas.uv_triangle(*f)).collect::<Vec<_>>();

@@ -177,11 +177,6 @@ impl Attempt {
         Attempt { work: op.edges.len() as u64, ..Self::failed(mesh, op, params, Reason::Topology) }
     }
 
-    /// That of an operation whose chart would fit on no sheet.
-    pub(super) fn too_large(mesh: &MergeMesh, op: &Operation, params: &Defrag) -> Self {
-        Self::failed(mesh, op, params, Reason::Size)
-    }
-
     /// Adds the next way that was tried; says whether it is the last one. Why the published ways failed says more than why others did.
     fn add(&mut self, result: TrialResult, wide: bool) -> bool {
         let decides = result.decides();

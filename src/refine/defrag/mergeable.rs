@@ -1,10 +1,8 @@
 //! Charts that share texels on purpose are left alone.
 
-use crate::atlas::{Atlas, Charts, OverlapMode, clusters};
-use crate::context::Context;
+use crate::atlas::{Charts, OverlapMode, clusters};
 use crate::error::Warning;
-use crate::refine::options::Options;
-use crate::refine::stage::SheetInfo;
+use crate::refine::stage::StageInput;
 
 /// Which charts may be merged.
 pub(super) struct Mergeable {
@@ -15,13 +13,8 @@ pub(super) struct Mergeable {
 
 impl Mergeable {
     /// Those that share no texels with others; a warning tells of the rest, where that is not what the user asked for.
-    pub(super) fn new(
-        atlas: &Atlas,
-        charts: &Charts,
-        sheet_info: &SheetInfo,
-        options: &Options,
-        context: &Context,
-    ) -> Self {
+    pub(super) fn new(input: &StageInput<'_>, charts: &Charts) -> Self {
+        let StageInput { atlas, sheet_info, options, context, .. } = *input;
         let together = clusters(atlas, charts, options.atlas.overlaps);
         let alone: Vec<bool> =
             charts.ids().map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1).collect();

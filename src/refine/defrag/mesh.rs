@@ -154,8 +154,3 @@ pub(super) fn mirror(p: DVec2) -> DVec2 {
 pub(super) fn sign(t: &[DVec2; 3]) -> i8 {
     orientation(t[0], t[1], t[2])
 }
-
-/// The area of a triangle.
-pub(super) fn area(t: &[DVec2; 3]) -> f64 {
-    0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()
-}

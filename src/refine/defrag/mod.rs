@@ -25,18 +25,16 @@ mod topology;
 use serde_json::{Map, Value, json};
 
 use self::account::Account;
-use self::attempt::Attempt;
+use self::attempt::{Attempt, Reason};
 use self::mergeable::Mergeable;
 use self::mesh::MergeMesh;
 use self::params::Defrag;
 use self::queue::OperationQueue;
 use self::sheet_limit::SheetLimit;
 use self::speculation::Speculation;
-use super::options::Options;
-use super::pack::{keeps_input, largest_chart, lay_out};
-use super::stage::{SheetInfo, Staged};
-use crate::atlas::{Atlas, Charts, Topology};
-use crate::context::Context;
+use super::pack::{finished, largest_chart, lay_out};
+use super::stage::{StageInput, Staged};
+use crate::atlas::{Charts, Topology};
 use crate::error::Result;
 use crate::packing::Rotation;
 
@@ -44,19 +42,14 @@ use crate::packing::Rotation;
 ///
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
-pub(crate) fn defrag(
-    atlas: &Atlas,
-    sheet_info: &SheetInfo,
-    params: &Defrag,
-    options: &Options,
-    context: &Context,
-) -> Result<Staged> {
+pub(crate) fn defrag(input: &StageInput<'_>, params: &Defrag) -> Result<Staged> {
+    let StageInput { atlas, sheet_info, options, context, .. } = *input;
     let charts = Charts::new(&Topology::new(atlas));
-    let mergeable = Mergeable::new(atlas, &charts, sheet_info, options, context);
+    let mergeable = Mergeable::new(input, &charts);
     context.step(0.02, "finding seams")?;
     let mut mesh = MergeMesh::new(atlas, &charts, &mergeable.charts, !sheet_info.directions);
     let limit = largest_chart(sheet_info, options).and_then(|sides| SheetLimit::new(&mesh, sides));
-    let mut figures = merge_charts(&mut mesh, limit, sheet_info, params, options, context)?;
+    let mut figures = merge_charts(&mut mesh, limit, params, input)?;
     figures.insert("held_back".to_owned(), json!(mergeable.held_back));
 
     let whole_texels = options.pack.rotation != Rotation::Any;
@@ -67,24 +60,19 @@ pub(crate) fn defrag(
     // Where charts came to lie others may lie already: they share no texels for that.
     let moved: Vec<bool> = atlas.faces().map(|f| atlas.uv_triangle(f) != placed.atlas.uv_triangle(f)).collect();
     let apart = placed.atlas.set_apart(&moved, f64::from(sheet_info.unit) * 64.0);
-    let (laid, work) = lay_out(&apart, sheet_info, options, &[], &placed.free, 1.0, context)?;
+    let (laid, work) = lay_out(&StageInput { atlas: &apart, ..*input }, &[], &placed.free, 1.0)?;
     figures.insert("pack_work".to_owned(), json!(work));
-    let staged = Staged { atlas: laid, stopped_by: "done", figures, kept: false };
-    if keeps_input(atlas, &staged.atlas, sheet_info, options) {
-        return Ok(staged.undone(atlas, sheet_info, context));
-    }
-    Ok(staged)
+    Ok(finished(input, laid, "done", figures))
 }
 
 /// Algorithm 1 up to its last line; gives its figures.
 fn merge_charts(
     mesh: &mut MergeMesh,
     limit: Option<SheetLimit>,
-    sheet_info: &SheetInfo,
     params: &Defrag,
-    options: &Options,
-    context: &Context,
+    input: &StageInput<'_>,
 ) -> Result<Map<String, Value>> {
+    let StageInput { sheet_info, options, context, .. } = *input;
     let mut queue = OperationQueue::new(mesh, params, f64::from(sheet_info.unit), context.seed);
     let mut account = Account::new(mesh, params, options.work_budget.unwrap_or(u64::MAX));
     let mut attempts = Speculation::new(params);
@@ -101,7 +89,7 @@ fn merge_charts(
         let Attempt { outcome, footprint, work } = if !attempts.stays_planar(mesh, &op) {
             Attempt::not_planar(mesh, &op, params)
         } else if limit.is_some_and(|limit| !limit.allows(mesh, &op)) {
-            Attempt::too_large(mesh, &op, params)
+            Attempt::failed(mesh, &op, params, Reason::Size)
         } else {
             attempts.attempt(mesh, &queue, id)
         };

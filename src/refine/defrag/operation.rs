@@ -4,7 +4,8 @@ use glam::DVec2;
 
 use super::mesh::MergeMesh;
 use super::params::{Appeal, Defrag, Search};
-use crate::atlas::rigid::{Rigid, RigidFit};
+use crate::atlas::groups::sorted_unique;
+use crate::atlas::rigid::{Rigid, RigidFit, back, nearest_quarter_turn, on_multiples};
 
 /// Texels that a seam may lose in fit for its two sides to keep their texels together.
 const SNAP: f64 = 0.75;
@@ -149,10 +150,12 @@ impl Alignment {
             lengths[0] += mesh.length(own);
             lengths[1] += mesh.length(across);
         }
-        pairs.sort_unstable();
-        pairs.dedup();
+        let pairs = sorted_unique(pairs);
         let cost = |motion: &Rigid| {
-            pairs.iter().map(|&(own, across)| mesh.uv(own).distance(motion.apply(mesh.uv(across)))).sum::<f64>()
+            pairs
+                .iter()
+                .map(|&(own, across)| mesh.uv(own).distance(motion.transform_point2(mesh.uv(across))))
+                .sum::<f64>()
                 / pairs.len() as f64
         };
         if kept == moved {
@@ -162,7 +165,7 @@ impl Alignment {
         let mut fit = RigidFit::default();
         pairs.iter().for_each(|&(own, across)| fit.add(mesh.uv(across), mesh.uv(own)));
         let (own, across) = pairs[0];
-        let motion = fit.solve().unwrap_or(Rigid { translate: mesh.uv(own) - mesh.uv(across), ..Rigid::IDENTITY });
+        let motion = fit.solve().unwrap_or(Rigid::from_translation(mesh.uv(own) - mesh.uv(across)));
         let residual = cost(&motion);
         if params.search == Search::Partial {
             let main = |c: u32| mesh.motion[mesh.chart(c).main_part as usize];
@@ -182,15 +185,8 @@ impl Alignment {
 /// The motion nearest to `motion` under which texels that move as `kept` and as `moved` lie on one grid of `unit` texels;
 /// `middle` is the middle of the seam on the moved side and on the kept one.
 fn snap(motion: &Rigid, kept: &Rigid, moved: &Rigid, middle: (DVec2, DVec2), unit: f64) -> Rigid {
-    let relative = kept.inverse().after(&motion.after(moved));
-    // The nearest quarter turn.
-    let (cos, sin) = if relative.cos.abs() >= relative.sin.abs() {
-        (relative.cos.signum(), 0.0)
-    } else {
-        (0.0, relative.sin.signum())
-    };
-    let turned = Rigid { cos, sin, translate: DVec2::ZERO };
-    let translate = kept.inverse().apply(middle.1) - turned.apply(moved.inverse().apply(middle.0));
-    let whole = Rigid { translate: (translate / unit).round() * unit, ..turned };
-    kept.after(&whole.after(&moved.inverse()))
+    let (from_kept, from_moved) = (back(kept), back(moved));
+    let turn = nearest_quarter_turn(&(from_kept * (*motion * *moved)));
+    let translate = from_kept.transform_point2(middle.1) - turn * from_moved.transform_point2(middle.0);
+    *kept * (on_multiples(turn, translate, unit) * from_moved)
 }

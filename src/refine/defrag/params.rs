@@ -48,7 +48,7 @@ impl Stage for Defrag {
     const WEIGHT: f64 = 8.0;
 
     fn run(&self, input: &StageInput<'_>) -> Result<Staged> {
-        super::defrag(input.atlas, input.sheet_info, self, input.options, input.context)
+        super::defrag(input, self)
     }
 }
 

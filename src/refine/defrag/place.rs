@@ -5,11 +5,11 @@
 
 use glam::DVec2;
 
-use super::mesh::{MergeChart, MergeMesh, area, mirror};
+use super::mesh::{MergeChart, MergeMesh, mirror};
 use super::sheet_limit::SheetLimit;
-use crate::atlas::Atlas;
 use crate::atlas::bvh::Bounds;
-use crate::atlas::rigid::Rigid;
+use crate::atlas::rigid::{Rigid, back, nearest_quarter_turn, on_multiples};
+use crate::atlas::{Atlas, triangle_area};
 use crate::refine::stage::SheetInfo;
 
 /// How far corners may lie from whole texels to be put there: resampling counts less than this as none.
@@ -61,7 +61,7 @@ pub(super) fn place(
         preserved += part.area;
         mirrored[c] = part.mirrored;
         free[c] = false;
-        motion[c] = part.motion.inverse();
+        motion[c] = back(&part.motion);
         part.faces.iter().for_each(|&f| exact[f as usize] = true);
     }
     let mut at = positions(mesh, &motion, &exact, unit);
@@ -125,17 +125,17 @@ fn largest_moved_part(mesh: &MergeMesh, chart: &MergeChart, unit: f64) -> Option
 fn positions(mesh: &MergeMesh, motion: &[Rigid], exact: &[bool], unit: f64) -> Vec<Option<DVec2>> {
     let mut at: Vec<Option<DVec2>> = vec![None; mesh.vertex_count()];
     for f in mesh.faces().filter(|&f| exact[f as usize]) {
-        let own = motion[mesh.chart_of(f) as usize].after(&mesh.motion[mesh.source[f as usize] as usize]);
+        let own = motion[mesh.chart_of(f) as usize] * mesh.motion[mesh.source[f as usize] as usize];
         let whole = whole(&own, unit);
         for (u, p) in mesh.corners(f).into_iter().zip(mesh.rest[f as usize]) {
-            at[u as usize].get_or_insert(whole.apply(p));
+            at[u as usize].get_or_insert(whole.transform_point2(p));
         }
     }
     for (u, at) in (0..).zip(&mut at) {
         if at.is_none()
             && let Some(f) = mesh.star(u).next()
         {
-            *at = Some(motion[mesh.chart_of(f) as usize].apply(mesh.uv(u)));
+            *at = Some(motion[mesh.chart_of(f) as usize].transform_point2(mesh.uv(u)));
         }
     }
     at
@@ -148,7 +148,7 @@ fn enlarge(mesh: &MergeMesh, free: &[bool], limit: Option<SheetLimit>, at: &mut 
     let mut scale: Vec<f64> =
         charts.iter().zip(free).map(|(c, free)| if *free { growth(mesh, &c.faces) } else { 1.0 }).collect();
     // Nor is the usual texel coarser: the faces that lost most are not all in charts that grew.
-    let density = |f: u32, t: &[DVec2; 3]| area(t) / mesh.area[f as usize];
+    let density = |f: u32, t: &[DVec2; 3]| triangle_area(t) / mesh.area[f as usize];
     let scaled = |f: u32, u: u32| at[u as usize].unwrap_or(mesh.uv(u)) * scale[mesh.chart_of(f) as usize];
     let before = median(mesh.faces().map(|f| density(f, &mesh.rest[f as usize])).collect());
     let now = median(mesh.faces().map(|f| density(f, &mesh.corners(f).map(|u| scaled(f, u)))).collect());
@@ -159,8 +159,7 @@ fn enlarge(mesh: &MergeMesh, free: &[bool], limit: Option<SheetLimit>, at: &mut 
     if let Some(limit) = limit {
         for (chart, scale) in charts.iter().zip(&mut scale).filter(|(_, s)| **s > 1.0) {
             let lies = chart.faces.iter().flat_map(|&f| mesh.corners(f)).filter_map(|u| at[u as usize]);
-            let bounds = lies.map(|p| Bounds::of(&[p])).fold(Bounds::EMPTY, Bounds::union);
-            *scale = scale.min(limit.growth(bounds.size()).max(1.0));
+            *scale = scale.min(limit.growth(Bounds::around(lies).size()).max(1.0));
         }
     }
     for (u, at) in (0..).zip(at) {
@@ -172,8 +171,8 @@ fn enlarge(mesh: &MergeMesh, free: &[bool], limit: Option<SheetLimit>, at: &mut 
 
 /// By how much the faces must grow in both directions to cover as many texels as in the input; never less than one.
 fn growth(mesh: &MergeMesh, faces: &[u32]) -> f64 {
-    let before: f64 = faces.iter().map(|&f| area(&mesh.rest[f as usize])).sum();
-    let now: f64 = faces.iter().map(|&f| area(&mesh.triangle(f))).sum();
+    let before: f64 = faces.iter().map(|&f| triangle_area(&mesh.rest[f as usize])).sum();
+    let now: f64 = faces.iter().map(|&f| triangle_area(&mesh.triangle(f))).sum();
     let grown = (before / now).sqrt();
     if grown.is_finite() { grown.clamp(1.0, MOST_GROWTH) } else { 1.0 }
 }
@@ -188,19 +187,20 @@ fn median(mut values: Vec<f64>) -> f64 {
 /// Whether a face lies where its chart of the input was moved.
 fn is_moved(mesh: &MergeMesh, face: u32) -> bool {
     let motion = &mesh.motion[mesh.source[face as usize] as usize];
-    mesh.triangle(face).iter().zip(&mesh.rest[face as usize]).all(|(p, q)| motion.apply(*q).distance(*p) <= WHOLE)
+    mesh.triangle(face)
+        .iter()
+        .zip(&mesh.rest[face as usize])
+        .all(|(p, q)| motion.transform_point2(*q).distance(*p) <= WHOLE)
 }
 
 /// Whether two motions differ by quarter turns and whole units, at the place of a face.
 fn on_grid(a: &Rigid, b: &Rigid, rest: &[DVec2; 3], unit: f64) -> bool {
-    let relative = a.inverse().after(b);
+    let relative = back(a) * *b;
     let whole = whole(&relative, unit);
-    rest.iter().all(|p| relative.apply(*p).distance(whole.apply(*p)) <= WHOLE)
+    rest.iter().all(|p| relative.transform_point2(*p).distance(whole.transform_point2(*p)) <= WHOLE)
 }
 
 /// The motion by quarter turns and whole units that is nearest.
 fn whole(motion: &Rigid, unit: f64) -> Rigid {
-    let (cos, sin) =
-        if motion.cos.abs() >= motion.sin.abs() { (motion.cos.signum(), 0.0) } else { (0.0, motion.sin.signum()) };
-    Rigid { cos, sin, translate: (motion.translate / unit).round() * unit }
+    on_multiples(nearest_quarter_turn(motion), motion.translation, unit)
 }

@@ -1,6 +1,6 @@
 //! The priority queue of operations, and the set of those that failed (Algorithm 1, section 4.4).
 
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use super::attempt::{Footprint, Merge, Reason};
@@ -10,6 +10,7 @@ use super::operation::Operation;
 use super::params::Defrag;
 use super::retry;
 use crate::atlas::bvh::Bounds;
+use crate::atlas::groups::sorted_unique;
 use crate::packing::Random;
 
 mod candidates;
@@ -52,7 +53,8 @@ pub(super) struct OperationQueue<'a> {
     unit: f64,
     candidates: Vec<Candidate>,
     links: ChartLinks,
-    heap: BinaryHeap<HeapEntry>,
+    /// (rank, operation, its stamp by then), the least rank first, among equals the older operation.
+    heap: BinaryHeap<Reverse<(u64, u32, u32)>>,
     random: Random,
 }
 
@@ -86,15 +88,15 @@ impl<'a> OperationQueue<'a> {
         self.candidates[id as usize].status == OperationStatus::Queued
     }
 
-    fn is_current(&self, entry: &HeapEntry) -> bool {
-        self.is_waiting(entry.id) && self.candidates[entry.id as usize].stamp == entry.stamp
+    fn is_current(&self, Reverse((_, id, stamp)): &Reverse<(u64, u32, u32)>) -> bool {
+        self.is_waiting(*id) && self.candidates[*id as usize].stamp == *stamp
     }
 
     /// The next operation.
     pub(super) fn pop(&mut self) -> Option<u32> {
         while let Some(entry) = self.heap.pop() {
             if self.is_current(&entry) {
-                return Some(entry.id);
+                return Some(entry.0.1);
             }
         }
         None
@@ -102,13 +104,13 @@ impl<'a> OperationQueue<'a> {
 
     /// The next `most` operations, in order.
     pub(super) fn upcoming(&self, most: usize) -> Vec<u32> {
-        let mut entries: Vec<&HeapEntry> = self.heap.iter().filter(|entry| self.is_current(entry)).collect();
+        let mut entries: Vec<_> = self.heap.iter().filter(|entry| self.is_current(entry)).collect();
         if entries.len() > most {
             entries.select_nth_unstable_by(most, |a, b| b.cmp(a));
             entries.truncate(most);
         }
         entries.sort_unstable_by(|a, b| b.cmp(a));
-        entries.into_iter().map(|entry| entry.id).collect()
+        entries.into_iter().map(|entry| entry.0.1).collect()
     }
 
     /// Puts an operation (back) into the queue.
@@ -116,7 +118,8 @@ impl<'a> OperationQueue<'a> {
         let own = &mut self.candidates[id as usize];
         own.stamp += 1;
         own.status = OperationStatus::Queued;
-        self.heap.push(HeapEntry { rank: own.op.rank, id, stamp: own.stamp });
+        // Ranks are compared as bits: they are not negative.
+        self.heap.push(Reverse((own.op.rank.to_bits(), id, own.stamp)));
     }
 
     /// The operation failed, after so much work: it waits until what that depends on changes. Parts of it may do better.
@@ -148,8 +151,7 @@ impl<'a> OperationQueue<'a> {
             let across = mesh.linked(h).and_then(|t| self.links.between(kept, mesh.chart_at(t)));
             changed.extend(across);
         }
-        changed.sort_unstable();
-        changed.dedup();
+        let changed = sorted_unique(changed);
         changed.iter().for_each(|&link| self.enumerate(mesh, link));
         self.update(mesh, kept, &changed, region);
     }
@@ -192,34 +194,5 @@ impl<'a> OperationQueue<'a> {
             OperationStatus::Failed if again && !small && worthwhile => self.push(id),
             _ => {}
         }
-    }
-}
-
-/// An operation's place in the heap.
-#[derive(Debug)]
-struct HeapEntry {
-    rank: f64,
-    id: u32,
-    stamp: u32,
-}
-
-impl PartialEq for HeapEntry {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for HeapEntry {}
-
-impl PartialOrd for HeapEntry {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for HeapEntry {
-    /// The least rank is the greatest entry; among equals the older operation.
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.rank.total_cmp(&self.rank).then(other.id.cmp(&self.id)).then(other.stamp.cmp(&self.stamp))
     }
 }

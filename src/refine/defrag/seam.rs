@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::mesh::MergeMesh;
-use crate::atlas::find_root;
+use crate::atlas::groups::DisjointSets;
 
 /// Connected runs of linked edges: those that share a seam vertex on both sides. Each ascending; ordered by their first.
 pub(super) fn runs(mesh: &MergeMesh, edges: &[u32]) -> Vec<Vec<u32>> {
-    let mut parent: Vec<u32> = (0..edges.len() as u32).collect();
+    let mut sets = DisjointSets::new(edges.len());
     // (vertex on the one side, vertex on the other) of each end.
     let mut ends: Vec<((u32, u32), u32)> = Vec::with_capacity(2 * edges.len());
     for (i, &h) in edges.iter().enumerate() {
@@ -18,20 +18,9 @@ pub(super) fn runs(mesh: &MergeMesh, edges: &[u32]) -> Vec<Vec<u32>> {
     }
     ends.sort_unstable();
     for pair in ends.windows(2).filter(|w| w[0].0 == w[1].0) {
-        let (a, b) = (find_root(&mut parent, pair[0].1), find_root(&mut parent, pair[1].1));
-        parent[a.max(b) as usize] = a.min(b);
+        sets.unite(pair[0].1, pair[1].1);
     }
-    let mut runs: Vec<Vec<u32>> = Vec::new();
-    let mut number = vec![usize::MAX; edges.len()];
-    for (i, &h) in edges.iter().enumerate() {
-        let root = find_root(&mut parent, i as u32) as usize;
-        if number[root] == usize::MAX {
-            number[root] = runs.len();
-            runs.push(Vec::new());
-        }
-        runs[number[root]].push(h);
-    }
-    runs
+    sets.sets().into_iter().map(|run| run.into_iter().map(|i| edges[i as usize]).collect()).collect()
 }
 
 /// The two halves of a run, by the order along the border of its first side; none of a single edge. Each ascending.

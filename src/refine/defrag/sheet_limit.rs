@@ -6,6 +6,7 @@ use glam::DVec2;
 use super::mesh::MergeMesh;
 use super::operation::Operation;
 use crate::atlas::bvh::Bounds;
+use crate::atlas::rigid::back;
 
 /// Part of a sheet's side that is kept for what is not known ahead: deformation moves borders.
 const SPARE: f64 = 0.01;
@@ -38,20 +39,20 @@ impl SheetLimit {
         }
         let (kept, moved) = (mesh.chart(op.kept), mesh.chart(op.moved));
         let Bounds { min, max } = moved.bounds;
-        let corners = [min, DVec2::new(max.x, min.y), max, DVec2::new(min.x, max.y)].map(|p| op.motion.apply(p));
+        let corners =
+            [min, DVec2::new(max.x, min.y), max, DVec2::new(min.x, max.y)].map(|p| op.motion.transform_point2(p));
         let both = kept.bounds.union(Bounds::of(&corners));
         if both.size().length() <= self.sides[1] {
             return true;
         }
         let turn = match mesh.main_part_after(op) {
-            (part, true) => op.motion.after(&mesh.motion[part as usize]),
-            (part, false) => mesh.motion[part as usize],
-        }
-        .inverse();
-        let exact = [(kept, turn), (moved, turn.after(&op.motion))]
+            (part, true) => back(&(op.motion * mesh.motion[part as usize])),
+            (part, false) => back(&mesh.motion[part as usize]),
+        };
+        let exact = [(kept, turn), (moved, turn * op.motion)]
             .into_iter()
             .flat_map(|(chart, motion)| chart.faces.iter().map(move |&f| (f, motion)))
-            .map(|(f, motion)| Bounds::of(&mesh.triangle(f).map(|p| motion.apply(p))))
+            .map(|(f, motion)| Bounds::of(&mesh.triangle(f).map(|p| motion.transform_point2(p))))
             .fold(Bounds::EMPTY, Bounds::union);
         self.growth(exact.size()) >= 1.0
     }

@@ -3,9 +3,11 @@ use glam::{DMat2, DVec2};
 use super::params::{Appeal, Search};
 use super::*;
 use crate::atlas::testing::{Rng, sheet};
-use crate::atlas::{Exactness, FaceId, UvId, check};
+use crate::atlas::{Atlas, Exactness, FaceId, UvId, check};
+use crate::context::Context;
 use crate::packing::{Gutter, Pack};
-use crate::refine::options::{AtlasOptions, IfLarger};
+use crate::refine::options::{AtlasOptions, IfLarger, Options};
+use crate::refine::stage::SheetInfo;
 
 /// A rectangle of faces, torn into squares of `side` x `side` faces that are turned, shifted and bent a little; texels of a
 /// sheet of 2048.
@@ -61,8 +63,12 @@ fn options() -> Options {
     }
 }
 
+fn merged(atlas: &Atlas, params: &Defrag, options: &Options, context: &Context) -> Result<Staged> {
+    defrag(&StageInput { atlas, sheet_info: &sheet_info(), importance: None, options, context }, params)
+}
+
 fn run(atlas: &Atlas, params: &Defrag) -> Staged {
-    let staged = defrag(atlas, &sheet_info(), params, &options(), &Context::silent()).expect("it packs");
+    let staged = merged(atlas, params, &options(), &Context::silent()).expect("it packs");
     assert_eq!(check(atlas, &staged.atlas, Exactness::Exact), Ok(()));
     staged
 }
@@ -125,7 +131,7 @@ fn charts_grow_no_larger_than_a_sheet() {
     let paged = |max_size: u32| {
         let mut options = options();
         options.texture.max_size = max_size;
-        defrag(&atlas, &sheet_info(), &Defrag::default(), &options, &Context::silent()).expect("it packs")
+        merged(&atlas, &Defrag::default(), &options, &Context::silent()).expect("it packs")
     };
     // 192 texels of charts of 32: on pages of 96 they stay as large as they are.
     let staged = paged(96);
@@ -181,8 +187,10 @@ fn broken_input_is_met() {
     }
     let charts_before = Charts::new(&Topology::new(&atlas));
     let mut mesh = MergeMesh::new(&atlas, &charts_before, &vec![true; charts_before.len()], true);
-    merge_charts(&mut mesh, None, &sheet_info(), &Defrag::default(), &options(), &Context::silent()).expect("it ends");
-    let merged = place::place(&mesh, &atlas, 0.05, &sheet_info(), None, true).atlas;
+    let (atlas, sheet_info, options, context) = (&atlas, &sheet_info(), &options(), &Context::silent());
+    let input = StageInput { atlas, sheet_info, importance: None, options, context };
+    merge_charts(&mut mesh, None, &Defrag::default(), &input).expect("it ends");
+    let merged = place::place(&mesh, atlas, 0.05, sheet_info, None, true).atlas;
     assert!(charts(&merged) < charts_before.len());
     assert_eq!(merged.face_count(), atlas.face_count());
 }
@@ -192,6 +200,6 @@ fn it_stops_when_cancelled() {
     let atlas = torn(12, 4, 3.0, 0.1, 17);
     let cancel = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
     let context = Context::new(std::sync::Arc::new(crate::context::Silent), cancel, 0);
-    let failure = defrag(&atlas, &sheet_info(), &Defrag::default(), &options(), &context).unwrap_err();
+    let failure = merged(&atlas, &Defrag::default(), &options(), &context).unwrap_err();
     assert_eq!(failure.code, crate::error::Code::Canceled);
 }

@@ -66,10 +66,11 @@ pub(crate) fn panels(atlas: &Atlas, params: &FabricationParams) -> Vec<String> {
         sheet.open(chart, outlines.area[chart.index()]);
         let own: Vec<usize> = (0..loops.chart.len()).filter(|l| loops.chart[*l] == chart).collect();
         let rings: Vec<_> = own.iter().map(|l| outlines.points(&loops.half_edges[*l])).collect();
-        sheet.outline(&rings);
+        sheet.closed("outline", &rings);
         if params.seams == Seams::Allowance && params.width_mm > 0.0 {
             let side = outlines.outward(chart);
-            sheet.allowance(&rings.iter().map(|r| allowance::offset(r, side, params.width_mm)).collect::<Vec<_>>());
+            let moved: Vec<_> = rings.iter().map(|r| allowance::offset(r, side, params.width_mm)).collect();
+            sheet.closed("allowance", &moved);
         }
         for face in faces {
             folds.iter().filter(|f| f.0 == *face).for_each(|f| sheet.fold(f.1));

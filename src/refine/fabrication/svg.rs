@@ -48,20 +48,18 @@ impl Sheet {
         self.add("</g>");
     }
 
-    /// The outline of a panel and of its holes.
-    pub fn outline(&mut self, rings: &[Vec<DVec2>]) {
-        self.closed("outline", rings);
-    }
-
-    /// The outline that is cut where panels are sewn.
-    pub fn allowance(&mut self, rings: &[Vec<DVec2>]) {
-        self.closed("allowance", rings);
+    /// Closed lines of a class: `outline` is that of a panel and of its holes, `allowance` the one that is cut where panels are sewn.
+    pub fn closed(&mut self, class: &str, rings: &[Vec<DVec2>]) {
+        let rings: Vec<String> = rings.iter().filter(|r| r.len() > 2).map(|r| line(r) + "Z").collect();
+        if !rings.is_empty() {
+            let text = format!("<path class=\"{class}\" d=\"{}\"/>", rings.concat());
+            self.add(&text);
+        }
     }
 
     /// A line to fold along.
     pub fn fold(&mut self, [a, b]: [DVec2; 2]) {
-        let text = format!("<path class=\"fold\" d=\"M{}L{}\"/>", point(a), point(b));
-        self.add(&text);
+        self.add(&format!("<path class=\"fold\" d=\"M{}L{}\"/>", point(a), point(b)));
     }
 
     /// The flap of a seam.
@@ -99,14 +97,6 @@ impl Sheet {
     pub fn finish(mut self) -> String {
         self.add("</svg>");
         self.text
-    }
-
-    fn closed(&mut self, class: &str, rings: &[Vec<DVec2>]) {
-        let rings: Vec<String> = rings.iter().filter(|r| r.len() > 2).map(|r| line(r) + "Z").collect();
-        if !rings.is_empty() {
-            let text = format!("<path class=\"{class}\" d=\"{}\"/>", rings.concat());
-            self.add(&text);
-        }
     }
 
     fn add(&mut self, text: &str) {

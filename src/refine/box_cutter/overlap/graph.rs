@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use crate::atlas::bvh::{Bounds, Bvh};
-use crate::atlas::overlap::faces_with_area;
+use crate::atlas::groups::Grouped;
+use crate::atlas::overlap::overlaps_in_blocks;
 use crate::atlas::seams::{rigid_seams, seam_runs, uv_length, weld_tolerance};
-use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Topology, triangles_overlap};
+use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Topology};
 use crate::context::Context;
 use crate::error::Result;
 
@@ -69,8 +69,8 @@ pub(crate) struct Graph {
     pub near: Arcs,
     /// Lifted: separating these two gains the weight.
     pub bias: Arcs,
-    conflict_start: Vec<u32>,
-    conflict: Vec<u32>,
+    /// By node: those that it overlaps.
+    conflicts: Grouped<u32>,
 }
 
 impl Graph {
@@ -81,28 +81,12 @@ impl Graph {
         bias: &[(u32, u32, i64)],
         conflicts: &[(u32, u32)],
     ) -> Self {
-        let mut start = vec![0u32; nodes + 1];
-        for &(a, b) in conflicts {
-            start[a as usize + 1] += 1;
-            start[b as usize + 1] += 1;
-        }
-        for i in 0..nodes {
-            start[i + 1] += start[i];
-        }
-        let mut next = start.clone();
-        let mut conflict = vec![0u32; 2 * conflicts.len()];
-        for &(a, b) in conflicts {
-            conflict[next[a as usize] as usize] = b;
-            conflict[next[b as usize] as usize] = a;
-            next[a as usize] += 1;
-            next[b as usize] += 1;
-        }
+        let conflicts = Grouped::new(nodes, conflicts.iter().flat_map(|&(a, b)| [(a, b), (b, a)]));
         Graph {
             faces: (0..nodes).map(FaceId::new).collect(),
             near: Arcs::new(nodes, near),
             bias: Arcs::new(nodes, bias),
-            conflict_start: start,
-            conflict,
+            conflicts,
         }
     }
 
@@ -113,7 +97,7 @@ impl Graph {
 
     /// The nodes that a node overlaps.
     pub(crate) fn conflicts(&self, node: u32) -> &[u32] {
-        &self.conflict[self.conflict_start[node as usize] as usize..self.conflict_start[node as usize + 1] as usize]
+        self.conflicts.of(node)
     }
 
     /// Whether there is any bias.
@@ -133,12 +117,6 @@ impl Graph {
             (0..self.len() as u32).flat_map(own).map(|n| n.1).sum()
         };
         cut(&self.near) - cut(&self.bias)
-    }
-
-    /// Whether no two overlapping nodes share a label.
-    #[cfg(test)]
-    pub(crate) fn is_feasible(&self, label: &[u32]) -> bool {
-        (0..self.len() as u32).all(|v| self.conflicts(v).iter().all(|&u| label[u as usize] != label[v as usize]))
     }
 }
 
@@ -210,76 +188,41 @@ pub(crate) fn bias_edges(scale: &Scale, charts: &Charts, wanted: &[bool]) -> Vec
     found
 }
 
-const BLOCK: usize = 512;
-const ROUND: usize = 32;
 /// Pair tests per face before a chart counts as too crowded to list.
 const TESTS_PER_FACE: usize = 4_000;
 
-/// Calls `visit` for blocks of overlapping pairs of the given faces, as positions in `faces`, in a fixed order, while it
-/// returns true. False when it did not, or a limit on tests was hit.
-fn for_pairs(
-    atlas: &Atlas,
-    faces: &[FaceId],
-    context: &Context,
-    mut visit: impl FnMut(Vec<(u32, u32)>) -> bool,
-) -> Result<bool> {
-    let solid = faces_with_area(atlas, faces.iter().copied());
-    let tree = Bvh::new(&solid.iter().map(|&f| Bounds::of(&atlas.uv_triangle(f))).collect::<Vec<_>>());
-    let sorted: Vec<FaceId> = tree.order.iter().map(|&i| solid[i as usize]).collect();
-    let position = |f: FaceId| faces.binary_search(&f).unwrap_or(0) as u32;
-    let starts: Vec<usize> = (0..sorted.len()).step_by(BLOCK).collect();
-    for round in starts.chunks(ROUND) {
-        context.check()?;
-        let parts: Vec<(Vec<(u32, u32)>, bool)> = round
-            .par_iter()
-            .map(|&start| {
-                let (mut own, mut tests) = (Vec::new(), 0);
-                for p in start..(start + BLOCK).min(sorted.len()) {
-                    let triangle = atlas.uv_triangle(sorted[p]);
-                    let a = position(sorted[p]);
-                    tree.query(
-                        &tree.bounds_at(p),
-                        p + 1,
-                        |_| true,
-                        |q| {
-                            tests += 1;
-                            if triangles_overlap(&triangle, &atlas.uv_triangle(sorted[q])) {
-                                let b = position(sorted[q]);
-                                own.push((a.min(b), a.max(b)));
-                            }
-                            tests < TESTS_PER_FACE * BLOCK
-                        },
-                    );
-                }
-                (own, tests < TESTS_PER_FACE * BLOCK)
-            })
-            .collect();
-        for (pairs, complete) in parts {
-            if !visit(pairs) || !complete {
-                return Ok(false);
-            }
-        }
-    }
-    Ok(true)
-}
-
 /// How many pairs of the faces overlap, or `None` when there are more than `limit`.
 pub(crate) fn count_pairs(atlas: &Atlas, faces: &[FaceId], limit: usize, context: &Context) -> Result<Option<usize>> {
-    let mut count = 0;
-    let complete = for_pairs(atlas, faces, context, |pairs| {
-        count += pairs.len();
-        count <= limit
-    })?;
+    let (mut count, mut complete) = (0, true);
+    overlaps_in_blocks(
+        atlas,
+        faces,
+        (TESTS_PER_FACE, usize::MAX),
+        |_| true,
+        |pairs, cut| {
+            context.check()?;
+            count += pairs.len();
+            complete = !cut && count <= limit;
+            Ok(complete)
+        },
+    )?;
     Ok(complete.then_some(count))
 }
 
 /// The overlapping pairs, as positions in `faces`, sorted.
 pub(crate) fn list_pairs(atlas: &Atlas, faces: &[FaceId], context: &Context) -> Result<Vec<(u32, u32)>> {
     let mut all = Vec::new();
-    for_pairs(atlas, faces, context, |pairs| {
-        all.extend(pairs);
-        true
-    })?;
+    overlaps_in_blocks(
+        atlas,
+        faces,
+        (TESTS_PER_FACE, usize::MAX),
+        |_| true,
+        |pairs, cut| {
+            context.check()?;
+            all.extend(pairs);
+            Ok(!cut)
+        },
+    )?;
     all.par_sort_unstable();
     Ok(all)
 }

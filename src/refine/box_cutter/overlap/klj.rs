@@ -6,40 +6,24 @@ use std::collections::BinaryHeap;
 
 use super::graph::Graph;
 use super::partition::Partition;
-use crate::context::Context;
+use super::solve::Search;
+use crate::atlas::groups::sorted_unique;
 use crate::error::Result;
 
 /// A chain ends when this many moves in a row brought no new best.
 const PATIENCE: usize = 400;
 
-/// Room for chains on one graph.
-#[derive(Debug)]
-pub(crate) struct Chains {
-    /// By node: moved in this chain.
-    moved: Vec<bool>,
-}
-
-impl Chains {
-    pub(crate) fn new(graph: &Graph) -> Self {
-        Chains { moved: vec![false; graph.len()] }
-    }
-
+impl Search<'_> {
     /// Improves the border between the clusters `a` and `b`; what was gained. No move brings overlapping triangles together, so
     /// every state on the way is free of overlaps.
-    pub(crate) fn improve(
-        &mut self,
-        graph: &Graph,
-        partition: &mut Partition,
-        (a, b): (u32, u32),
-        work: &mut u64,
-        context: &Context,
-    ) -> Result<i64> {
-        context.check()?;
+    pub(crate) fn move_along_border(&mut self, partition: &mut Partition, (a, b): (u32, u32)) -> Result<i64> {
+        let graph = self.graph;
+        self.context.check()?;
         let small = if partition.members[a as usize].len() <= partition.members[b as usize].len() { a } else { b };
         let mut start = Vec::new();
         let mut join = 0;
         for &v in &partition.members[small as usize] {
-            *work += graph.near.of(v).len() as u64;
+            self.work += graph.near.of(v).len() as u64;
             let mut at_border = false;
             for (w, weight) in graph.near.neighbours(v) {
                 if partition.label[w as usize] == a + b - small {
@@ -60,10 +44,9 @@ impl Chains {
         if start.is_empty() {
             return Ok(0);
         }
-        start.sort_unstable();
-        start.dedup();
+        let start = sorted_unique(start);
         let joinable = join > 0 && !partition.in_conflict(graph, a, b);
-        let (gain, moves) = self.chain(graph, partition, (a, b), &start, work);
+        let (gain, moves) = self.chain(partition, (a, b), &start);
         if joinable && join >= gain {
             let gone = std::mem::take(&mut partition.members[b as usize]);
             gone.iter().for_each(|&v| partition.label[v as usize] = a);
@@ -72,29 +55,23 @@ impl Chains {
             partition.dirty[a as usize] = true;
             return Ok(join);
         }
-        self.accept(graph, partition, (a, b), gain, &moves);
+        accept(graph, partition, (a, b), gain, &moves);
         Ok(gain.max(0))
     }
 
     /// Moves a part of cluster `a` that bias wants elsewhere into a new cluster; what was gained.
-    pub(crate) fn split(
-        &mut self,
-        graph: &Graph,
-        partition: &mut Partition,
-        a: u32,
-        work: &mut u64,
-        context: &Context,
-    ) -> Result<i64> {
-        context.check()?;
+    pub(crate) fn move_apart(&mut self, partition: &mut Partition, a: u32) -> Result<i64> {
+        let graph = self.graph;
+        self.context.check()?;
         let inside = |v: u32| graph.bias.neighbours(v).any(|(w, _)| partition.label[w as usize] == a);
         let start: Vec<u32> = partition.members[a as usize].iter().copied().filter(|&v| inside(v)).collect();
-        *work += partition.members[a as usize].len() as u64;
+        self.work += partition.members[a as usize].len() as u64;
         if start.is_empty() {
             return Ok(0);
         }
         let b = partition.fresh();
-        let (gain, moves) = self.chain(graph, partition, (a, b), &start[..1], work);
-        self.accept(graph, partition, (a, b), gain, &moves);
+        let (gain, moves) = self.chain(partition, (a, b), &start[..1]);
+        accept(graph, partition, (a, b), gain, &moves);
         if gain <= 0 {
             partition.members.pop();
             partition.dirty.pop();
@@ -103,14 +80,8 @@ impl Chains {
     }
 
     /// The best chain of moves that starts among `start`, and its gain. Afterwards labels are what they were before.
-    fn chain(
-        &mut self,
-        graph: &Graph,
-        partition: &mut Partition,
-        (a, b): (u32, u32),
-        start: &[u32],
-        work: &mut u64,
-    ) -> (i64, Vec<u32>) {
+    fn chain(&mut self, partition: &mut Partition, (a, b): (u32, u32), start: &[u32]) -> (i64, Vec<u32>) {
+        let graph = self.graph;
         let label = &mut partition.label;
         let mut heap = BinaryHeap::new();
         for &v in start {
@@ -124,7 +95,7 @@ impl Chains {
                 continue;
             }
             let to = a + b - from;
-            *work += (graph.near.of(v).len() + graph.conflicts(v).len()) as u64;
+            self.work += (graph.near.of(v).len() + graph.conflicts(v).len()) as u64;
             let now = gain(graph, label, v, to);
             if now != promised {
                 // Somebody moved since; neighbours are pushed anew on each move, so the right entry is there as well.
@@ -164,20 +135,21 @@ impl Chains {
         moves.truncate(length);
         (best, moves)
     }
+}
 
-    fn accept(&mut self, graph: &Graph, partition: &mut Partition, (a, b): (u32, u32), gain: i64, moves: &[u32]) {
-        if gain <= 0 {
-            return;
-        }
-        for &v in moves {
-            partition.label[v as usize] = a + b - partition.label[v as usize];
-        }
-        // Taken, since a chain may leave nothing in one of them.
-        let mut nodes = std::mem::take(&mut partition.members[a as usize]);
-        nodes.append(&mut partition.members[b as usize]);
-        nodes.sort_unstable();
-        partition.rebuild(graph, &nodes);
+/// Makes the moves of a chain, if they gain anything.
+fn accept(graph: &Graph, partition: &mut Partition, (a, b): (u32, u32), gain: i64, moves: &[u32]) {
+    if gain <= 0 {
+        return;
     }
+    for &v in moves {
+        partition.label[v as usize] = a + b - partition.label[v as usize];
+    }
+    // Taken, since a chain may leave nothing in one of them.
+    let mut nodes = std::mem::take(&mut partition.members[a as usize]);
+    nodes.append(&mut partition.members[b as usize]);
+    nodes.sort_unstable();
+    partition.rebuild(graph, &nodes);
 }
 
 /// By how much the cost falls when `v` moves to cluster `to`.

@@ -40,6 +40,11 @@ impl MinCut {
         }
     }
 
+    /// Sets the side of nodes.
+    pub(crate) fn set(&mut self, nodes: &[u32], side: Side) {
+        nodes.iter().for_each(|&v| self.side[v as usize] = side);
+    }
+
     /// The weight of the cheapest cut between the sources and the sinks among `nodes`. Afterwards [`MinCut::with_source`] tells
     /// the sides: of all cheapest cuts, the one nearest to the sources.
     pub(crate) fn cut(&mut self, graph: &Graph, nodes: &[u32], work: &mut u64, context: &Context) -> Result<i64> {

@@ -7,7 +7,6 @@
 //! The result never overlaps: every step of the solver keeps overlapping triangles apart, a chart with too many pairs to
 //! list is grown apart instead ([`grow`]), and the outcome is tested again from scratch, and cut further should that be needed.
 
-pub mod baseline;
 mod graph;
 mod greedy;
 mod grow;
@@ -25,6 +24,7 @@ use rayon::prelude::*;
 use self::graph::{Graph, Scale};
 use self::partition::Partition;
 use super::weld;
+use crate::atlas::groups::sorted_unique;
 use crate::atlas::seams::{border_length, uv_length};
 use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, Mesh, Topology, UvId};
 use crate::context::Context;
@@ -55,44 +55,12 @@ pub struct Removed {
     pub cut_short: bool,
 }
 
-/// Which solutions are looked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Bias {
-    /// Never count bias edges.
-    Off,
-    /// Always count them, as published.
-    On,
-    /// Solve with and without, weld both on trial, and keep what has the shorter boundary then: bias cuts whose weld fails
-    /// would lengthen it.
-    Trial,
-}
-
-/// How the multicut is looked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Method {
-    /// Greedy contraction, then Kernighan-Lin with joins: the paper and nothing else.
-    Published,
-    /// The best of several starts, with exact cuts between pairs of clusters and neighbourhoods split anew.
-    Best,
-}
-
 /// Cuts every chart that overlaps itself, and for which `touchable` holds, into charts that do not (Box Cutter, section 4.1).
 /// `weight` makes cutting an edge dearer or cheaper (importance; 1 is neutral).
 pub fn remove_overlaps(
     atlas: &Atlas,
     touchable: &(dyn Fn(ChartId) -> bool + Sync),
     weight: Option<&(dyn Fn(HalfEdge) -> f64 + Sync)>,
-    context: &Context,
-) -> Result<Removed> {
-    remove_overlaps_with(atlas, touchable, weight, (Bias::Trial, Method::Best), context)
-}
-
-/// [`remove_overlaps`] with a choice of bias and method.
-pub fn remove_overlaps_with(
-    atlas: &Atlas,
-    touchable: &(dyn Fn(ChartId) -> bool + Sync),
-    weight: Option<&(dyn Fn(HalfEdge) -> f64 + Sync)>,
-    (bias, method): (Bias, Method),
     context: &Context,
 ) -> Result<Removed> {
     let mut removed =
@@ -117,7 +85,7 @@ pub fn remove_overlaps_with(
             let single = |n: u32| solve::Solved { label: (0..n).collect(), work: n.into(), cut_short: true };
             found.iter().map(|c| single(faces(c))).collect()
         } else {
-            solve_all(&scale, &charts, &found, (if round == 0 { bias } else { Bias::Off }, method), context)?
+            solve_all(&scale, &charts, &found, round == 0, context)?
         };
         let mut of_face = vec![0u32; atlas.face_count()];
         for ((chart, _), solved) in found.iter().zip(labels) {
@@ -146,9 +114,7 @@ fn cut_by_label(mesh: &mut Mesh, label: &[u32]) {
     // The faces of a non-manifold edge meet at a border, where nothing is cut: their vertices become one for each label.
     let parted: Vec<[FaceId; 2]> = topology.incident_faces().filter(|p| differ(p[0], p[1])).collect();
     mesh.cut_unless(&cuts, &|f, g| !differ(f, g));
-    let mut shared: Vec<UvId> = parted.iter().flatten().flat_map(|f| mesh.atlas().corners[f.index()]).collect();
-    shared.sort_unstable();
-    shared.dedup();
+    let shared: Vec<UvId> = sorted_unique(parted.iter().flatten().flat_map(|f| mesh.atlas().corners[f.index()]));
     let corners = shared.iter().flat_map(|&u| mesh.corners_of(u));
     let mut parts: Vec<(HalfEdge, u32)> = corners.map(|c| (c, label[c.face().index()])).collect();
     parts.sort_unstable();
@@ -175,16 +141,16 @@ fn count_all(
     Ok(found)
 }
 
-/// The multicut of every chart, as many at a time as their pairs fit the limit.
+/// The multicut of every chart, as many at a time as their pairs fit the limit; `biased` says whether globally continuous boundaries count.
 fn solve_all(
     scale: &Scale,
     charts: &Charts,
     found: &[(ChartId, Option<usize>)],
-    (bias, method): (Bias, Method),
+    biased: bool,
     context: &Context,
 ) -> Result<Vec<solve::Solved>> {
     let mut edges: Vec<Vec<(u32, u32, i64)>> = vec![Vec::new(); charts.len()];
-    if bias != Bias::Off {
+    if biased {
         let mut wanted = vec![false; charts.len()];
         found.iter().for_each(|c| wanted[c.0.index()] = true);
         for (a, b, weight) in graph::bias_edges(scale, charts, &wanted) {
@@ -207,7 +173,7 @@ fn solve_all(
         let solved: Vec<Result<solve::Solved>> = now
             .par_iter()
             .map(|&(chart, count)| {
-                solve_chart(scale, &charts.faces[chart.index()], count, &edges[chart.index()], (bias, method), context)
+                solve_chart(scale, &charts.faces[chart.index()], count, &edges[chart.index()], context)
             })
             .collect();
         for one in solved {
@@ -217,12 +183,13 @@ fn solve_all(
     Ok(all)
 }
 
+/// The multicut of one chart: the better of that with and that without bias, by what is left once all is welded that can be. Bias cuts whose
+/// weld fails would lengthen the boundary.
 fn solve_chart(
     scale: &Scale,
     faces: &[FaceId],
     pairs: Option<usize>,
     bias_edges: &[(u32, u32, i64)],
-    (bias, method): (Bias, Method),
     context: &Context,
 ) -> Result<solve::Solved> {
     if pairs.is_none() {
@@ -234,21 +201,13 @@ fn solve_chart(
     let list = graph::list_pairs(scale.atlas, faces, context)?;
     let mut graph = graph::build(scale, faces, &list);
     drop(list);
-    let solve = match method {
-        Method::Published => solve::solve_as_published,
-        Method::Best => solve::solve,
-    };
     let limit = WORK.max(WORK_PER_NODE * faces.len() as u64);
-    let biased = bias != Bias::Off && !bias_edges.is_empty();
-    if biased && bias == Bias::On {
-        graph.set_bias(bias_edges);
-    }
-    let plain = solve(&graph, limit, context)?;
-    if !biased || bias == Bias::On {
+    let plain = solve::solve(&graph, limit, context)?;
+    if bias_edges.is_empty() {
         return Ok(plain);
     }
     graph.set_bias(bias_edges);
-    let biased = solve(&graph, limit, context)?;
+    let biased = solve::solve(&graph, limit, context)?;
     let work = plain.work + biased.work;
     let trial = |s: &solve::Solved| welded_length(scale, &graph, &s.label, context);
     let better = if trial(&biased)? < trial(&plain)? { biased } else { plain };

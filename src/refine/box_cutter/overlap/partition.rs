@@ -1,6 +1,7 @@
 //! Clusters of triangles, kept connected.
 
 use super::graph::Graph;
+use crate::atlas::groups::sorted_unique;
 
 /// A division of a graph's nodes into clusters. A label without members is free.
 #[derive(Debug, Clone)]
@@ -22,10 +23,7 @@ impl Partition {
 
     /// All nodes together, as far as they are connected.
     pub(crate) fn whole(graph: &Graph) -> Self {
-        let nodes: Vec<u32> = (0..graph.len() as u32).collect();
-        let mut all = Partition { label: vec![0; nodes.len()], members: vec![nodes.clone()], dirty: vec![true] };
-        all.rebuild(graph, &nodes);
-        all
+        Self::from_labels(graph, vec![0; graph.len()])
     }
 
     /// The clusters of a labelling, as far as they are connected.
@@ -95,9 +93,7 @@ impl Partition {
                 }
             }
         }
-        pairs.sort_unstable();
-        pairs.dedup();
-        pairs
+        sorted_unique(pairs)
     }
 
     /// Whether two nodes of the clusters `a` and `b` overlap (or, for `a == b`, two of one).

@@ -4,79 +4,79 @@
 //! rest goes where the cut is cheapest. Where overlaps fall into several independent groups, each group may also change sides.
 
 use super::graph::Graph;
-use super::mincut::{MinCut, Side};
+use super::mincut::Side;
 use super::partition::Partition;
-use crate::context::Context;
+use super::solve::Search;
 use crate::error::Result;
 
 /// Groups of overlapping triangles that are tried on exchanged sides, largest first.
 const GROUPS: usize = 6;
 
-/// Improves the border between clusters `a` and `b`; what was gained. Bias is not seen by the cut, but counted before a cut is
-/// taken.
-pub(crate) fn improve(
-    graph: &Graph,
-    partition: &mut Partition,
-    cutter: &mut MinCut,
-    (a, b): (u32, u32),
-    work: &mut u64,
-    context: &Context,
-) -> Result<i64> {
-    let mut nodes = partition.members[a as usize].clone();
-    nodes.extend(&partition.members[b as usize]);
-    nodes.sort_unstable();
-    let groups = groups(graph, partition, &nodes, (a, b), work);
-    let label = &partition.label;
-    if groups.is_empty() {
-        return Ok(0);
-    }
-    for &v in &nodes {
-        cutter.side[v as usize] = Side::Free;
-    }
-    let set = |cutter: &mut MinCut, group: &[u32], flip: bool| {
-        for &v in group {
-            cutter.side[v as usize] = if (label[v as usize] == a) != flip { Side::Source } else { Side::Sink };
+/// The best cut so far of the border between two clusters.
+struct BestCut {
+    cost: i64,
+    /// By node: whether it lies with the sources. None where the border is best as it is.
+    with_source: Option<Vec<bool>>,
+}
+
+impl Search<'_> {
+    /// Improves the border between clusters `a` and `b`; what was gained. Bias is not seen by the cut, but counted before a cut is
+    /// taken.
+    pub(crate) fn cut_border(&mut self, partition: &mut Partition, (a, b): (u32, u32)) -> Result<i64> {
+        let mut nodes = partition.members[a as usize].clone();
+        nodes.extend(&partition.members[b as usize]);
+        nodes.sort_unstable();
+        let groups = groups(self.graph, partition, &nodes, (a, b), &mut self.work);
+        if groups.is_empty() {
+            return Ok(0);
         }
-    };
-    groups.iter().for_each(|g| set(cutter, g, false));
-    let before = cost_within(graph, label, &nodes, (a, b));
-    let mut best = before;
-    let mut taken: Option<Vec<bool>> = None;
-    let mut try_cut = |cutter: &mut MinCut, best: &mut i64, work: &mut u64| -> Result<bool> {
-        let flow = cutter.cut(graph, &nodes, work, context)?;
-        let gained: i64 = bias_between(graph, label, &nodes, (a, b), |v| cutter.with_source(v));
-        let better = flow - gained < *best;
+        self.cutter.set(&nodes, Side::Free);
+        groups.iter().for_each(|group| self.pin(group, &partition.label, a));
+        let before = cost_within(self.graph, &partition.label, &nodes, (a, b));
+        let mut best = BestCut { cost: before, with_source: None };
+        self.try_cut(partition, &nodes, (a, b), &mut best)?;
+        if groups.len() > 1 {
+            for group in groups.iter().take(GROUPS) {
+                self.pin(group, &partition.label, b);
+                if !self.try_cut(partition, &nodes, (a, b), &mut best)? {
+                    self.pin(group, &partition.label, a);
+                }
+            }
+        }
+        self.cutter.set(&nodes, Side::Out);
+        if let Some(with_source) = best.with_source {
+            for (&v, first) in nodes.iter().zip(with_source) {
+                partition.label[v as usize] = if first { a } else { b };
+            }
+            partition.rebuild(self.graph, &nodes);
+        }
+        Ok(before - best.cost)
+    }
+
+    /// Pins a group's nodes of the cluster `first` to the sources, its others to the sinks.
+    fn pin(&mut self, group: &[u32], label: &[u32], first: u32) {
+        for &v in group {
+            self.cutter.side[v as usize] = if label[v as usize] == first { Side::Source } else { Side::Sink };
+        }
+    }
+
+    /// Cuts, and says whether that is better than before.
+    fn try_cut(
+        &mut self,
+        partition: &Partition,
+        nodes: &[u32],
+        clusters: (u32, u32),
+        best: &mut BestCut,
+    ) -> Result<bool> {
+        let flow = self.cutter.cut(self.graph, nodes, &mut self.work, self.context)?;
+        let first = |v| self.cutter.with_source(v);
+        let cost = flow - bias_between(self.graph, &partition.label, nodes, clusters, first);
+        let better = cost < best.cost;
         if better {
-            *best = flow - gained;
-            taken = Some(nodes.iter().map(|&v| cutter.with_source(v)).collect());
+            *best = BestCut { cost, with_source: Some(nodes.iter().map(|&v| first(v)).collect()) };
         }
         Ok(better)
-    };
-    let mut outcome = try_cut(cutter, &mut best, work).map(|_| ());
-    if groups.len() > 1 {
-        for group in groups.iter().take(GROUPS) {
-            if outcome.is_err() {
-                break;
-            }
-            set(cutter, group, true);
-            match try_cut(cutter, &mut best, work) {
-                Ok(true) => {}
-                Ok(false) => set(cutter, group, false),
-                Err(e) => outcome = Err(e),
-            }
-        }
     }
-    for &v in &nodes {
-        cutter.side[v as usize] = Side::Out;
-    }
-    outcome?;
-    if let Some(with_source) = taken {
-        for (&v, first) in nodes.iter().zip(with_source) {
-            partition.label[v as usize] = if first { a } else { b };
-        }
-        partition.rebuild(graph, &nodes);
-    }
-    Ok(before - best)
 }
 
 /// The triangles of `a` and `b` that overlap each other, in groups connected by overlaps; the largest first.

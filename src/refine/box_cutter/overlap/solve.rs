@@ -1,11 +1,9 @@
 //! The multicut of one chart: start, Kernighan-Lin with joins, and what goes beyond.
 
 use super::graph::Graph;
-use super::klj::Chains;
 use super::mincut::MinCut;
 use super::partition::Partition;
-use super::split::{End, Splitter};
-use super::{greedy, refine};
+use super::split::End;
 use crate::context::Context;
 use crate::error::Result;
 
@@ -24,35 +22,38 @@ pub(crate) struct Solved {
     pub cut_short: bool,
 }
 
-struct Search<'a> {
-    graph: &'a Graph,
-    cutter: MinCut,
-    chains: Chains,
-    splitter: Splitter,
-    work: u64,
+/// The search for the multicut of one graph.
+pub(super) struct Search<'a> {
+    pub graph: &'a Graph,
+    pub cutter: MinCut,
+    /// By node: moved in the present chain.
+    pub moved: Vec<bool>,
+    /// By node: steps from the start of the last breadth-first search.
+    pub distance: Vec<u32>,
+    /// Edges and overlaps looked at.
+    pub work: u64,
     limit: u64,
     /// Whether the limit ended the last polish.
     cut_short: bool,
-    context: &'a Context,
-}
-
-/// The published method alone: greedy contraction from single triangles, then Kernighan-Lin with joins.
-pub(crate) fn solve_as_published(graph: &Graph, limit: u64, context: &Context) -> Result<Solved> {
-    let mut search = Search::new(graph, limit, context);
-    let mut partition = Partition::singletons(graph);
-    greedy::contract(graph, &mut partition, &mut search.work, context)?;
-    search.polish(&mut partition, false)?;
-    let cut_short = search.cut_short;
-    Ok(search.solved(partition, cut_short))
+    pub context: &'a Context,
 }
 
 /// The best of contraction and of splitting top down, each polished with chains and minimum cuts, and then improved by splitting
 /// neighbourhoods anew. Stops when about `limit` edges and overlaps were looked at.
 pub(crate) fn solve(graph: &Graph, limit: u64, context: &Context) -> Result<Solved> {
-    let mut search = Search::new(graph, limit, context);
+    let mut search = Search {
+        graph,
+        cutter: MinCut::new(graph),
+        moved: vec![false; graph.len()],
+        distance: vec![u32::MAX; graph.len()],
+        work: 0,
+        limit,
+        cut_short: false,
+        context,
+    };
     let mut best = Partition::singletons(graph);
-    greedy::contract(graph, &mut best, &mut search.work, context)?;
-    search.polish(&mut best, true)?;
+    search.contract(&mut best)?;
+    search.polish(&mut best)?;
     let mut cost = graph.cost(&best.label);
     let mut cut_short = search.cut_short;
     for end in End::ALL {
@@ -61,42 +62,25 @@ pub(crate) fn solve(graph: &Graph, limit: u64, context: &Context) -> Result<Solv
         }
         let mut next = Partition::whole(graph);
         let pending = (0..next.members.len() as u32).collect();
-        search.splitter.split(graph, &mut next, &mut search.cutter, (pending, end), &mut search.work, context)?;
-        greedy::contract(graph, &mut next, &mut search.work, context)?;
-        search.polish(&mut next, true)?;
+        search.split(&mut next, pending, end)?;
+        search.contract(&mut next)?;
+        search.polish(&mut next)?;
         let own = graph.cost(&next.label);
         if own < cost {
             (best, cost, cut_short) = (next, own, search.cut_short);
         }
     }
     search.reshape(&mut best, &mut cost)?;
-    Ok(search.solved(best, cut_short))
+    Ok(Solved { work: search.work, cut_short, label: best.label })
 }
 
-impl<'a> Search<'a> {
-    fn new(graph: &'a Graph, limit: u64, context: &'a Context) -> Self {
-        Search {
-            graph,
-            cutter: MinCut::new(graph),
-            chains: Chains::new(graph),
-            splitter: Splitter::new(graph),
-            work: 0,
-            limit,
-            cut_short: false,
-            context,
-        }
-    }
-
+impl Search<'_> {
     fn spent(&self) -> bool {
         self.work >= self.limit || self.context.out_of_time()
     }
 
-    fn solved(self, partition: Partition, cut_short: bool) -> Solved {
-        Solved { work: self.work, cut_short, label: partition.label }
-    }
-
-    /// Improves border after border until nothing gains. `exact` adds minimum cuts to the chains of Kernighan and Lin.
-    fn polish(&mut self, partition: &mut Partition, exact: bool) -> Result<()> {
+    /// Improves border after border, by the chains of Kernighan and Lin and by minimum cuts, until nothing gains.
+    fn polish(&mut self, partition: &mut Partition) -> Result<()> {
         let graph = self.graph;
         self.cut_short = false;
         for _ in 0..ROUNDS {
@@ -112,16 +96,14 @@ impl<'a> Search<'a> {
                 if !touched || [a, b].iter().any(|&l| partition.members[l as usize].is_empty()) {
                     continue;
                 }
-                gained += self.chains.improve(graph, partition, (a, b), &mut self.work, self.context)?;
-                let both = [a, b].iter().all(|&l| !partition.members[l as usize].is_empty());
-                if exact && both {
-                    let (work, context) = (&mut self.work, self.context);
-                    gained += refine::improve(graph, partition, &mut self.cutter, (a, b), work, context)?;
+                gained += self.move_along_border(partition, (a, b))?;
+                if [a, b].iter().all(|&l| !partition.members[l as usize].is_empty()) {
+                    gained += self.cut_border(partition, (a, b))?;
                 }
             }
             if graph.has_bias() {
                 for a in 0..partition.members.len() as u32 {
-                    gained += self.chains.split(graph, partition, a, &mut self.work, self.context)?;
+                    gained += self.move_apart(partition, a)?;
                 }
             }
             if gained == 0 {
@@ -189,10 +171,9 @@ impl<'a> Search<'a> {
             let before = next.members.len() as u32;
             next.rebuild(graph, nodes);
             let pending = std::iter::once(own).chain(before..next.members.len() as u32).collect();
-            let (cutter, work) = (&mut self.cutter, &mut self.work);
-            self.splitter.split(graph, &mut next, cutter, (pending, end), work, self.context)?;
-            *work += 2 * graph.near.to.len() as u64;
-            self.polish(&mut next, true)?;
+            self.split(&mut next, pending, end)?;
+            self.work += 2 * graph.near.to.len() as u64;
+            self.polish(&mut next)?;
             let reached = graph.cost(&next.label);
             if reached < *cost {
                 (*best, *cost) = (next, reached);

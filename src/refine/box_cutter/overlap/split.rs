@@ -7,7 +7,7 @@
 use super::graph::Graph;
 use super::mincut::{MinCut, Side};
 use super::partition::Partition;
-use crate::context::Context;
+use super::solve::Search;
 use crate::error::Result;
 
 /// From which end the sheet is grown.
@@ -27,48 +27,25 @@ impl End {
     pub(crate) const ALL: [End; 4] = [End::Far, End::Opposite, End::Crowded, End::First];
 }
 
-/// Room for splitting on one graph.
-#[derive(Debug)]
-pub(crate) struct Splitter {
-    /// By node: steps from the start of the last search.
-    distance: Vec<u32>,
-}
-
-impl Splitter {
-    pub(crate) fn new(graph: &Graph) -> Self {
-        Splitter { distance: vec![u32::MAX; graph.len()] }
-    }
-
+impl Search<'_> {
     /// Cuts the given clusters until none of them overlaps itself.
-    pub(crate) fn split(
-        &mut self,
-        graph: &Graph,
-        partition: &mut Partition,
-        cutter: &mut MinCut,
-        (mut pending, end): (Vec<u32>, End),
-        work: &mut u64,
-        context: &Context,
-    ) -> Result<()> {
+    pub(crate) fn split(&mut self, partition: &mut Partition, mut pending: Vec<u32>, end: End) -> Result<()> {
+        let graph = self.graph;
         while let Some(cluster) = pending.pop() {
-            context.check()?;
+            self.context.check()?;
             let label = &partition.label;
             let inside = |v: u32| label[v as usize] == cluster;
             let nodes = partition.members[cluster as usize].clone();
             let clashes = |v: u32| graph.conflicts(v).iter().any(|&u| inside(u));
-            *work += nodes.len() as u64;
-            let Some(seed) = self.seed(graph, &nodes, end, &inside, &clashes) else { continue };
-            for &v in &nodes {
-                cutter.side[v as usize] = Side::Free;
-            }
-            grow_sheet(graph, seed, cutter, &inside, work);
-            let outcome = cutter.cut(graph, &nodes, work, context);
-            for &v in &nodes {
-                cutter.side[v as usize] = Side::Out;
-            }
-            outcome?;
+            self.work += nodes.len() as u64;
+            let Some(seed) = self.seed(&nodes, end, &inside, &clashes) else { continue };
+            self.cutter.set(&nodes, Side::Free);
+            grow_sheet(graph, seed, &mut self.cutter, &inside, &mut self.work);
+            self.cutter.cut(graph, &nodes, &mut self.work, self.context)?;
+            self.cutter.set(&nodes, Side::Out);
             let other = partition.fresh();
             for &v in &nodes {
-                if cutter.with_source(v) {
+                if self.cutter.with_source(v) {
                     partition.label[v as usize] = other;
                 }
             }
@@ -82,7 +59,6 @@ impl Splitter {
     /// The triangle to start from, or `None` where no two triangles overlap.
     fn seed(
         &mut self,
-        graph: &Graph,
         nodes: &[u32],
         end: End,
         inside: &dyn Fn(u32) -> bool,
@@ -92,20 +68,20 @@ impl Splitter {
         match end {
             End::First => Some(first),
             End::Crowded => {
+                let graph = self.graph;
                 let crowd = |v: u32| graph.conflicts(v).iter().filter(|&&u| inside(u)).count();
                 nodes.iter().copied().max_by_key(|&v| (crowd(v), std::cmp::Reverse(v)))
             }
-            End::Far => Some(self.farthest(graph, nodes, nodes[0], inside, clashes).unwrap_or(first)),
+            End::Far => Some(self.farthest(nodes, nodes[0], inside, clashes).unwrap_or(first)),
             End::Opposite => {
-                let far = self.farthest(graph, nodes, nodes[0], inside, clashes).unwrap_or(first);
-                Some(self.farthest(graph, nodes, far, inside, clashes).unwrap_or(first))
+                let far = self.farthest(nodes, nodes[0], inside, clashes).unwrap_or(first);
+                Some(self.farthest(nodes, far, inside, clashes).unwrap_or(first))
             }
         }
     }
 
     fn farthest(
         &mut self,
-        graph: &Graph,
         nodes: &[u32],
         from: u32,
         inside: &dyn Fn(u32) -> bool,
@@ -119,7 +95,7 @@ impl Splitter {
         let mut head = 0;
         while let Some(&v) = queue.get(head) {
             head += 1;
-            for (w, _) in graph.near.neighbours(v) {
+            for (w, _) in self.graph.near.neighbours(v) {
                 if inside(w) && self.distance[w as usize] == u32::MAX {
                     self.distance[w as usize] = self.distance[v as usize] + 1;
                     queue.push(w);

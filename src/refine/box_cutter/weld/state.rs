@@ -6,9 +6,10 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use crate::atlas::dynamic_triangles::DynamicTriangleSet;
-use crate::atlas::rigid::Rigid;
+use crate::atlas::groups::{DisjointSets, sorted_unique};
+use crate::atlas::rigid::{Rigid, back};
 use crate::atlas::seams::RigidSeam;
-use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, Mark, Mesh, UvId, find_root, orientation};
+use crate::atlas::{Atlas, ChartId, Charts, FaceId, HalfEdge, Mark, Mesh, UvId, orientation};
 
 /// An atlas under welding.
 pub(super) struct WeldState {
@@ -134,7 +135,7 @@ impl WeldState {
         let (keep, go, motion) = if (self.charts.faces[a].len(), b) >= (self.charts.faces[b].len(), a) {
             (a, b, seam.motion)
         } else {
-            (b, a, seam.motion.inverse())
+            (b, a, back(&seam.motion))
         };
         let motion = self.settle(go, motion);
         let join = self.join(keep, go, &motion);
@@ -149,7 +150,7 @@ impl WeldState {
     /// A motion that moves nothing by more than rounding is none.
     fn settle(&self, chart: usize, motion: Rigid) -> Rigid {
         let still = |f: &FaceId| {
-            let near = |p: &DVec2| motion.apply(*p).distance(*p) <= 1e-4 * self.tolerance;
+            let near = |p: &DVec2| motion.transform_point2(*p).distance(*p) <= 1e-4 * self.tolerance;
             self.mesh.atlas().uv_triangle(*f).iter().all(near)
         };
         if self.charts.faces[chart].iter().all(still) { Rigid::IDENTITY } else { motion }
@@ -165,8 +166,9 @@ impl WeldState {
                     continue;
                 };
                 let ends = self.mesh.linked(h, twin);
-                let meet =
-                    |&(own, other): &(UvId, UvId)| motion.apply(at(own)).distance(at(other)) <= 2.0 * self.tolerance;
+                let meet = |&(own, other): &(UvId, UvId)| {
+                    motion.transform_point2(at(own)).distance(at(other)) <= 2.0 * self.tolerance
+                };
                 // One vertex may close a slit of the larger chart if the slit is exactly shut.
                 let agree = |&(own, other): &(UvId, UvId)| join.to.get(&own).is_none_or(|&t| at(t) == at(other));
                 if !ends.iter().all(|e| meet(e) && agree(e)) {
@@ -188,7 +190,7 @@ impl WeldState {
         self.mesh.atlas().corners[face.index()].map(|c| match join.to.get(&c) {
             Some(target) => self.mesh.position(*target),
             None if *motion == Rigid::IDENTITY => self.mesh.position(c),
-            None => motion.apply(self.mesh.position(c)),
+            None => motion.transform_point2(self.mesh.position(c)),
         })
     }
 
@@ -222,12 +224,10 @@ impl WeldState {
         let charts = &mut self.charts;
         let faces = std::mem::take(&mut charts.faces[go]);
         let page = charts.faces[keep].first().map_or(0, |f| self.mesh.atlas().page[f.index()]);
-        let mut vertices: Vec<UvId> = faces.iter().flat_map(|f| self.mesh.atlas().corners[f.index()]).collect();
-        vertices.sort_unstable();
-        vertices.dedup();
+        let vertices: Vec<UvId> = sorted_unique(faces.iter().flat_map(|f| self.mesh.atlas().corners[f.index()]));
         if *motion != Rigid::IDENTITY {
             for u in vertices.into_iter().filter(|u| !join.to.contains_key(u)) {
-                self.mesh.move_uv(u, motion.apply(self.mesh.position(u)));
+                self.mesh.move_uv(u, motion.transform_point2(self.mesh.position(u)));
             }
         }
         for face in &faces {
@@ -281,15 +281,10 @@ struct Join {
 
 /// Each UV vertex that is one with others, with the lowest of them.
 fn representatives(same: &[(UvId, UvId)]) -> Vec<(UvId, UvId)> {
-    let mut all: Vec<UvId> = same.iter().flat_map(|&(a, b)| [a, b]).collect();
-    all.sort_unstable();
-    all.dedup();
+    let all: Vec<UvId> = sorted_unique(same.iter().flat_map(|&(a, b)| [a, b]));
     let place = |u: UvId| all.partition_point(|x| *x < u) as u32;
-    let mut parent: Vec<u32> = (0..all.len() as u32).collect();
-    for &(a, b) in same {
-        let (a, b) = (find_root(&mut parent, place(a)), find_root(&mut parent, place(b)));
-        parent[a.max(b) as usize] = a.min(b);
-    }
-    let roots = (0..all.len() as u32).map(|i| all[find_root(&mut parent, i) as usize]);
-    all.iter().copied().zip(roots.collect::<Vec<_>>()).filter(|(u, root)| u != root).collect()
+    let mut sets = DisjointSets::new(all.len());
+    same.iter().for_each(|&(a, b)| sets.unite(place(a), place(b)));
+    let pairs = (0..).zip(&all).map(|(i, u)| (*u, all[sets.find(i) as usize]));
+    pairs.filter(|(u, root)| u != root).collect()
 }

@@ -1,6 +1,6 @@
 //! What is deformable: the faces near the seam (section 4.2.2).
 
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use super::fuse::Node;
@@ -22,12 +22,12 @@ impl MergeTrial<'_> {
     pub(super) fn spread(&mut self) {
         let mesh = self.mesh;
         let radius: Vec<f64> = self.nodes.iter().map(|n| n.reach).collect();
-        // The furthest first; all are finite.
-        let mut heap: BinaryHeap<Front> = (radius.iter().enumerate())
-            .filter(|(_, radius)| **radius >= 0.0)
-            .map(|(n, radius)| Front { left: *radius, node: n as u32, source: n as u32 })
-            .collect();
-        while let Some(Front { left, node, source }) = heap.pop() {
+        // How much further deformation goes, the furthest first, the vertex reached, and the fused one; compared as bits: none is negative.
+        let entry = |left: f64, node: u32, source: u32| (left.to_bits(), Reverse(node), Reverse(source));
+        let mut heap: BinaryHeap<_> =
+            (0..).zip(&radius).filter(|(_, r)| **r >= 0.0).map(|(n, r)| entry(*r, n, n)).collect();
+        while let Some((left, Reverse(node), Reverse(source))) = heap.pop() {
+            let left = f64::from_bits(left);
             if left < self.nodes[node as usize].reach || self.nodes.len() > self.widest() {
                 continue;
             }
@@ -43,7 +43,7 @@ impl MergeTrial<'_> {
                     if left >= 0.0
                         && let Some(node) = self.reached(w, left)
                     {
-                        heap.push(Front { left, node, source });
+                        heap.push(entry(left, node, source));
                     }
                 }
             }
@@ -88,33 +88,5 @@ impl MergeTrial<'_> {
             }
         }
         Ok(())
-    }
-}
-
-/// A vertex reached from a fused one.
-struct Front {
-    /// How much further it goes.
-    left: f64,
-    node: u32,
-    source: u32,
-}
-
-impl PartialEq for Front {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Front {}
-
-impl PartialOrd for Front {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Front {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.left.total_cmp(&other.left).then(other.node.cmp(&self.node)).then(other.source.cmp(&self.source))
     }
 }

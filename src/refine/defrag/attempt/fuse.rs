@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::trial::MergeTrial;
 use super::{STILL, Target};
-use crate::atlas::find_root;
+use crate::atlas::groups::{DisjointSets, sorted_unique};
 
 /// How much further deformation spreads where that may be.
 const WIDER: f64 = 3.0;
@@ -52,25 +52,14 @@ impl MergeTrial<'_> {
         let mesh = self.mesh;
         let pairs: Vec<(u32, u32)> =
             zip.iter().flat_map(|&(h, t)| [(mesh.start(h), mesh.end(t)), (mesh.end(h), mesh.start(t))]).collect();
-        let mut vertices: Vec<u32> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
-        vertices.sort_unstable();
-        vertices.dedup();
+        let vertices: Vec<u32> = sorted_unique(pairs.iter().flat_map(|&(p, q)| [p, q]));
         let place = |u: u32| vertices.partition_point(|v| *v < u) as u32;
-        let mut parent: Vec<u32> = (0..vertices.len() as u32).collect();
-        for &(p, q) in &pairs {
-            let (a, b) = (find_root(&mut parent, place(p)), find_root(&mut parent, place(q)));
-            parent[a.max(b) as usize] = a.min(b);
-        }
-        let mut number = vec![u32::MAX; vertices.len()];
-        for (i, &u) in vertices.iter().enumerate() {
-            let root = find_root(&mut parent, i as u32) as usize;
-            if number[root] == u32::MAX {
-                number[root] = self.nodes.len() as u32;
-                let (vertices, at, reach) = (Vec::new(), DVec2::ZERO, f64::NEG_INFINITY);
-                self.nodes.push(Node { vertices, at, reach, free: false, seam: true });
-            }
-            self.nodes[number[root] as usize].vertices.push(u);
-            self.workspace.set_node(u, number[root]);
+        let mut sets = DisjointSets::new(vertices.len());
+        pairs.iter().for_each(|&(p, q)| sets.unite(place(p), place(q)));
+        for own in sets.sets() {
+            let vertices: Vec<u32> = own.into_iter().map(|i| vertices[i as usize]).collect();
+            vertices.iter().for_each(|&u| self.workspace.set_node(u, self.nodes.len() as u32));
+            self.nodes.push(Node { vertices, at: DVec2::ZERO, reach: f64::NEG_INFINITY, free: false, seam: true });
         }
     }
 

@@ -5,6 +5,7 @@ use glam::DVec2;
 use super::Reason;
 use super::checks::{LOST, is_inverted};
 use super::trial::{MergeTrial, Stop};
+use crate::atlas::groups::sorted_unique;
 use crate::numeric::arap::{Arap, Patch};
 use crate::numeric::repair::repair_inversions;
 use crate::refine::defrag::params::Search;
@@ -88,12 +89,8 @@ impl MergeTrial<'_> {
         let mesh = self.mesh;
         let mut positions: Vec<DVec2> = self.nodes.iter().map(|n| n.at).collect();
         let mut free: Vec<bool> = self.nodes.iter().map(|n| n.free).collect();
-        let mut others: Vec<u32> = Vec::new();
-        for &f in &self.deformable {
-            others.extend(mesh.corners(f).iter().filter(|u| self.workspace.node(**u).is_none()));
-        }
-        others.sort_unstable();
-        others.dedup();
+        let corners = self.deformable.iter().flat_map(|&f| mesh.corners(f));
+        let others: Vec<u32> = sorted_unique(corners.filter(|&u| self.workspace.node(u).is_none()));
         let nodes = self.nodes.len() as u32;
         for &u in &others {
             positions.push(self.aligned(u));

@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::trial::MergeTrial;
 use crate::atlas::bvh::Bounds;
-use crate::atlas::rigid::Rigid;
+use crate::atlas::rigid::{Rigid, back};
 use crate::atlas::{penetration, triangles_overlap};
 use crate::refine::defrag::mesh::MergeMesh;
 
@@ -80,7 +80,7 @@ impl MergeTrial<'_> {
 
     /// By a sweep along x.
     fn overlapping_each_other(&mut self, placed: &[[DVec2; 3]], found: &mut Vec<u32>) {
-        let bounds: Vec<Bounds> = placed.iter().map(|t| Bounds::of(t)).collect();
+        let bounds: Vec<Bounds> = placed.iter().map(Bounds::of).collect();
         let mut order: Vec<u32> = (0..placed.len() as u32).collect();
         order.sort_unstable_by(|&a, &b| bounds[a as usize].min.x.total_cmp(&bounds[b as usize].min.x).then(a.cmp(&b)));
         for (n, &i) in order.iter().enumerate() {
@@ -119,8 +119,8 @@ fn new_overlap(mesh: &MergeMesh, f: u32, at: &[DVec2; 3], g: u32, there: &[DVec2
 
 /// Bounds of a triangle in the coordinates that `motion` leads from.
 fn moved_back(bounds: &Bounds, at: &[DVec2; 3], motion: &Rigid) -> Bounds {
-    let back = motion.inverse();
-    let own = Bounds::of(&at.map(|p| back.apply(p)));
+    let back = back(motion);
+    let own = Bounds::of(&at.map(|p| back.transform_point2(p)));
     let slack = 1e-9 * bounds.max.abs().max(bounds.min.abs()).max_element().max(1.0);
     Bounds { min: own.min - slack, max: own.max + slack }
 }

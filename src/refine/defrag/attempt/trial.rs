@@ -30,25 +30,8 @@ impl TrialResult {
     }
 }
 
-/// Why a trial ends without a merge.
-pub(super) enum Stop {
-    /// It failed.
-    Failed(Reason),
-    /// Nobody waits for it.
-    Superseded,
-}
-
-impl From<Reason> for Stop {
-    fn from(reason: Reason) -> Self {
-        Stop::Failed(reason)
-    }
-}
-
-impl From<Superseded> for Stop {
-    fn from(_: Superseded) -> Self {
-        Stop::Superseded
-    }
-}
+/// Why a trial ends without a merge; none where nobody waits for it any more.
+pub(super) type Stop = Option<Reason>;
 
 /// An operation being tried in one way.
 pub(super) struct MergeTrial<'a> {
@@ -84,8 +67,8 @@ impl<'a> MergeTrial<'a> {
     pub(super) fn run(mut self) -> Result<TrialResult, Superseded> {
         let outcome = match self.perform() {
             Ok(merge) => Ok(merge),
-            Err(Stop::Failed(reason)) => Err(reason),
-            Err(Stop::Superseded) => return Err(Superseded),
+            Err(Some(reason)) => Err(reason),
+            Err(None) => return Err(Superseded),
         };
         Ok(TrialResult { outcome, region: self.region, work: self.work })
     }
@@ -150,8 +133,8 @@ impl<'a> MergeTrial<'a> {
     }
 
     /// Others may run beside it, or have made it needless.
-    pub(super) fn checkpoint(&self) -> Result<(), Superseded> {
-        self.task.checkpoint(self.nodes.len())
+    pub(super) fn checkpoint(&self) -> Result<(), Stop> {
+        self.task.checkpoint(self.nodes.len()).map_err(|Superseded| None)
     }
 
     /// It depends on what lies around every vertex that it names, whether that moves or not.
@@ -182,7 +165,7 @@ impl<'a> MergeTrial<'a> {
     pub(super) fn aligned(&self, vertex: u32) -> DVec2 {
         let at = self.mesh.uv(vertex);
         match self.mesh.star(vertex).next() {
-            Some(f) if self.is_moved(f) => self.op.motion.apply(at),
+            Some(f) if self.is_moved(f) => self.op.motion.transform_point2(at),
             _ => at,
         }
     }
@@ -190,7 +173,7 @@ impl<'a> MergeTrial<'a> {
     /// Where a face is then.
     pub(super) fn aligned_triangle(&self, face: u32) -> [DVec2; 3] {
         let motion = if self.is_moved(face) { self.op.motion } else { Rigid::IDENTITY };
-        self.mesh.triangle(face).map(|p| if motion == Rigid::IDENTITY { p } else { motion.apply(p) })
+        self.mesh.triangle(face).map(|p| if motion == Rigid::IDENTITY { p } else { motion.transform_point2(p) })
     }
 
     /// Where a deformable face comes to lie.

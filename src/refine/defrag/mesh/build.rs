@@ -5,8 +5,9 @@ use glam::DVec2;
 use super::winding::{Winding, consistent_winding};
 use super::{MergeChart, MergeMesh, mirror};
 use crate::atlas::bvh::Bounds;
+use crate::atlas::groups::sorted_unique;
 use crate::atlas::rigid::Rigid;
-use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Mesh};
+use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Mesh, triangle_area};
 use crate::numeric::energy::jacobian;
 use crate::refine::defrag::face_grid::FaceGrid;
 
@@ -21,10 +22,7 @@ impl MergeMesh {
         let n = own.face_count();
         let extent = own.uv.iter().filter(|p| p.is_finite()).map(|p| p.abs().max_element()).fold(1.0, f64::max);
         let rest: Vec<[DVec2; 3]> = own.faces().map(|f| own.uv_triangle(f)).collect();
-        let weight: Vec<f64> = rest
-            .iter()
-            .map(|r| jacobian(r, r).map_or(0.0, |_| 0.5 * (r[1] - r[0]).perp_dot(r[2] - r[0]).abs()))
-            .collect();
+        let weight: Vec<f64> = rest.iter().map(|r| jacobian(r, r).map_or(0.0, |_| triangle_area(r))).collect();
         let mostly_reversed: Vec<bool> = (charts.faces.iter())
             .map(|faces| {
                 let area = |f: &FaceId| if reversed[f.index()] { weight[f.index()] } else { -weight[f.index()] };
@@ -101,9 +99,7 @@ impl MergeMesh {
 /// Mirrors the charts that are said to be.
 fn mirror_charts(mesh: &mut Mesh, charts: &Charts, mirrored: &[bool]) {
     let corners = mesh.atlas().corners.iter().zip(&charts.of_face);
-    let mut vertices: Vec<_> = corners.filter(|(_, c)| mirrored[c.index()]).flat_map(|(corners, _)| *corners).collect();
-    vertices.sort_unstable();
-    vertices.dedup();
+    let vertices = sorted_unique(corners.filter(|(_, c)| mirrored[c.index()]).flat_map(|(corners, _)| *corners));
     for u in vertices {
         mesh.move_uv(u, mirror(mesh.position(u)));
     }

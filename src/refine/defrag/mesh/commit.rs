@@ -1,8 +1,9 @@
 //! Making a merge: the only place that changes the mesh.
 
-use super::{MergeChart, MergeMesh, area};
-use crate::atlas::UvId;
+use super::{MergeChart, MergeMesh};
 use crate::atlas::bvh::Bounds;
+use crate::atlas::groups::sorted_unique;
+use crate::atlas::{UvId, triangle_area};
 use crate::refine::defrag::attempt::Merge;
 use crate::refine::defrag::operation::Operation;
 
@@ -75,33 +76,22 @@ impl MergeMesh {
 
     /// Border edges of what changes shape.
     fn changing_edges(&self, merge: &Merge) -> Vec<u32> {
-        let mut edges: Vec<u32> = merge
-            .deformable
-            .iter()
-            .flat_map(|&(f, _)| 3 * f..3 * f + 3)
-            .filter(|&h| self.is_border(h))
-            .chain(merge.zip.iter().flat_map(|&(h, t)| [h, t]))
-            .collect();
-        edges.sort_unstable();
-        edges.dedup();
-        edges
+        let own = merge.deformable.iter().flat_map(|&(f, _)| 3 * f..3 * f + 3).filter(|&h| self.is_border(h));
+        sorted_unique(own.chain(merge.zip.iter().flat_map(|&(h, t)| [h, t])))
     }
 
     /// Length of those of the edges that are on a border, and area of the deformable faces.
     fn measured(&self, edges: &[u32], merge: &Merge) -> (f64, f64) {
         let border = edges.iter().filter(|&&h| self.is_border(h)).map(|&h| self.length(h)).sum();
-        (border, merge.deformable.iter().map(|&(f, _)| area(&self.triangle(f))).sum())
+        (border, merge.deformable.iter().map(|&(f, _)| triangle_area(&self.triangle(f))).sum())
     }
 
     /// Aligns the chart that moves, and gives its faces to the kept one.
     fn bring(&mut self, op: &Operation) -> Vec<u32> {
         let coming = std::mem::take(&mut self.charts[op.moved as usize].faces);
-        let mut vertices: Vec<u32> = coming.iter().flat_map(|&f| self.corners(f)).collect();
-        vertices.sort_unstable();
-        vertices.dedup();
         let mut bounds = self.charts[op.kept as usize].bounds;
-        for &u in &vertices {
-            let at = op.motion.apply(self.uv(u));
+        for u in sorted_unique(coming.iter().flat_map(|&f| self.corners(f))) {
+            let at = op.motion.transform_point2(self.uv(u));
             self.mesh.move_uv(UvId(u), at);
             bounds = bounds.union(Bounds::of(&[at]));
         }
@@ -142,7 +132,7 @@ impl MergeMesh {
     fn join(&mut self, op: &Operation, main_part: u32) {
         let gone: MergeChart = std::mem::take(&mut self.charts[op.moved as usize]);
         for &part in &gone.parts {
-            self.motion[part as usize] = op.motion.after(&self.motion[part as usize]);
+            self.motion[part as usize] = op.motion * self.motion[part as usize];
         }
         let chart = &mut self.charts[op.kept as usize];
         if op.whole_texels {

@@ -13,22 +13,15 @@ pub(super) struct Winding {
     pub mirrored: Vec<bool>,
 }
 
-/// What is wound alike.
-struct Oriented {
-    reversed: Vec<bool>,
-    /// By chart: whether its faces hang together by edges of two faces.
-    connected: Vec<bool>,
-    /// By chart: its area, each part positive.
-    areas: Vec<f64>,
-}
-
 /// Faces reversed so that neighbours in a chart agree and the chart's area is positive. Where charts then still disagree with larger
 /// neighbours along their seams, one of them is the mirror image of what the surface shows: it is mirrored too, if `may_mirror`.
 pub(super) fn consistent_winding(atlas: &Atlas, charts: &Charts, may_mirror: bool) -> Winding {
     let topology = Topology::new(atlas);
-    let mut oriented = orient(atlas, charts, &topology);
-    let mirrored = if may_mirror { mirror(atlas, charts, &topology, &mut oriented) } else { vec![false; charts.len()] };
-    let reversed = oriented.reversed;
+    let (mut reversed, areas) = orient(atlas, charts, &topology);
+    let mut mirrored = vec![false; charts.len()];
+    if may_mirror {
+        mirror(atlas, charts, &topology, &areas, (&mut reversed, &mut mirrored));
+    }
     let mut own = atlas.clone();
     for (f, _) in reversed.iter().enumerate().filter(|(_, reversed)| **reversed) {
         own.corners[f].swap(1, 2);
@@ -37,21 +30,20 @@ pub(super) fn consistent_winding(atlas: &Atlas, charts: &Charts, may_mirror: boo
     Winding { atlas: own, reversed, mirrored }
 }
 
-/// Neighbours in a chart agree, and areas are positive.
-fn orient(atlas: &Atlas, charts: &Charts, topology: &Topology) -> Oriented {
+/// By face whether it is reversed, so that neighbours in a chart agree and areas are positive; by chart its area, each part positive, where its
+/// faces hang together by edges of two faces.
+fn orient(atlas: &Atlas, charts: &Charts, topology: &Topology) -> (Vec<bool>, Vec<Option<f64>>) {
     let n = atlas.face_count();
     let corner = |h: HalfEdge| atlas.corners[h.face().index()][h.corner()];
     let mut reversed = vec![false; n];
     let mut seen = vec![false; n];
-    let mut connected = vec![true; charts.len()];
-    let mut areas = vec![0.0; charts.len()];
+    let mut areas = vec![Some(0.0); charts.len()];
     for (c, faces) in charts.faces.iter().enumerate() {
         // Parts that only hang together by non-manifold edges are wound one by one.
         for (i, seed) in faces.iter().enumerate() {
             if std::mem::replace(&mut seen[seed.index()], true) {
                 continue;
             }
-            connected[c] &= i == 0;
             let mut part = vec![*seed];
             let mut next = 0;
             while next < part.len() {
@@ -67,25 +59,29 @@ fn orient(atlas: &Atlas, charts: &Charts, topology: &Topology) -> Oriented {
                 next += 1;
             }
             let area: f64 = part.iter().map(|&f| if reversed[f.index()] { -1.0 } else { 1.0 } * atlas.uv_area(f)).sum();
-            areas[c] += area.abs();
+            areas[c] = areas[c].filter(|_| i == 0).map(|sum| sum + area.abs());
             if area < 0.0 {
                 part.iter().for_each(|f| reversed[f.index()] ^= true);
             }
         }
     }
-    Oriented { reversed, connected, areas }
+    (reversed, areas)
 }
 
-/// Charts to be mirrored, from the largest to the smallest; their faces are reversed.
-fn mirror(atlas: &Atlas, charts: &Charts, topology: &Topology, oriented: &mut Oriented) -> Vec<bool> {
-    let Oriented { reversed, connected, areas } = oriented;
+/// Finds the charts to be mirrored, from the largest to the smallest, and reverses their faces.
+fn mirror(
+    atlas: &Atlas,
+    charts: &Charts,
+    topology: &Topology,
+    areas: &[Option<f64>],
+    (reversed, mirrored): (&mut [bool], &mut [bool]),
+) {
     let vertex = |h: HalfEdge| atlas.surface.triangles[h.face().index()][h.corner()];
     let is_decided = |decided: &[bool], f: FaceId| decided[charts.of_face[f.index()].index()];
-    let mut order: Vec<usize> = (0..charts.len()).filter(|&c| connected[c]).collect();
-    order.sort_by(|&a, &b| areas[b].total_cmp(&areas[a]).then(a.cmp(&b)));
-    let mut mirrored = vec![false; charts.len()];
+    let mut order: Vec<(f64, usize)> = areas.iter().enumerate().filter_map(|(c, area)| Some(((*area)?, c))).collect();
+    order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut decided = vec![false; charts.len()];
-    for c in order {
+    for (_, c) in order {
         // Length of seams to larger charts along which windings agree, less that along which they do not.
         let mut agree = 0.0;
         for f in &charts.faces[c] {
@@ -102,5 +98,4 @@ fn mirror(atlas: &Atlas, charts: &Charts, topology: &Topology, oriented: &mut Or
             charts.faces[c].iter().for_each(|f| reversed[f.index()] ^= true);
         }
     }
-    mirrored
 }
