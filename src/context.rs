@@ -24,6 +24,7 @@ impl Listener for Silent {}
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
 pub struct Progress {
     /// Fraction of the whole job in 0..=1; never falls.
+    #[schema(minimum = 0, maximum = 1)]
     pub fraction: f64,
     /// Name of the current stage.
     pub stage: String,
@@ -41,6 +42,7 @@ pub struct Timing {
     /// Name of the stage.
     pub stage: String,
     /// Wall-clock seconds.
+    #[schema(minimum = 0)]
     pub seconds: f64,
 }
 

@@ -11,30 +11,84 @@ use futures_util::stream;
 use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
 use tokio::fs::File;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
+use utoipa::openapi::{self, HeaderBuilder, RefOr};
+use utoipa::{IntoParams, PartialSchema, ToResponse};
 
 use super::App;
-use super::jobs::matches;
+use super::document::Binary;
+use super::examples;
+use super::jobs::{JobPath, matches};
 use super::problem::{HandlerResult, Problem};
 use crate::error::{Code, Failure};
+use crate::metrics::Report;
+use crate::texture::Format;
 
 /// Bytes that are read at once.
 const CHUNK: usize = 128 << 10;
 
+/// What an artifact is asked for with.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[expect(dead_code, reason = "describes the headers in the OpenAPI document")]
+struct ArtifactHeaders {
+    /// One range of bytes.
+    #[param(rename = "Range", example = "bytes=0-1023")]
+    range: Option<String>,
+    /// ETag under which `Range` holds.
+    #[param(rename = "If-Range", example = "\"5f70bf18\"")]
+    if_range: Option<String>,
+    /// ETags that the client has.
+    #[param(rename = "If-None-Match", example = "\"5f70bf18\"")]
+    if_none_match: Option<String>,
+}
+
+/// The bytes of an artifact, or of a range of it.
+pub(super) struct ArtifactBytes;
+
+impl ToResponse<'_> for ArtifactBytes {
+    fn response() -> (&'static str, RefOr<openapi::Response>) {
+        // Generators take the first for all of them.
+        let types = [
+            "application/octet-stream",
+            "model/gltf-binary",
+            "model/gltf+json",
+            "application/zip",
+            "application/json",
+            "image/svg+xml",
+        ];
+        let images = [Format::Png, Format::Jpeg, Format::Webp, Format::Ktx2].map(Format::media_type);
+        let response = types.into_iter().chain(images).fold(
+            openapi::ResponseBuilder::new().description("The bytes; after a request for a range, those of the range"),
+            |response, media_type| response.content(media_type, openapi::Content::new(Some(Binary::schema()))),
+        );
+        let header = |text: &str| HeaderBuilder::new().description(Some(text)).build();
+        let response = response
+            .header("ETag", header("Of the artifact: its SHA-256"))
+            .header("Content-Disposition", header("Its name"))
+            .header("Accept-Ranges", header("`bytes`"));
+        ("Artifact", response.build().into())
+    }
+}
+
+/// The report: the figures of every atlas, before and after.
+#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/report.json", tag = "jobs", params(JobPath, ArtifactHeaders),
+    responses(
+        (status = 200, description = "The report", body = Report, example = json!(examples::report())),
+        (status = 206, description = "The bytes of the range"),
+        (status = 304, description = "The client has it"),
+        (status = 404, description = "No such job, or it has no report", body = Problem, content_type = "application/problem+json"),
+        (status = 410, description = "The artifacts have been removed", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "The range is outside", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn report(app: State<App>, Path(id): Path<String>, headers: HeaderMap) -> HandlerResult {
+    fetch(app, Path((id, "report.json".to_owned())), headers).await
+}
+
 /// The bytes of an artifact. They never change; a range of them can be asked for.
 #[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/{name}", tag = "jobs",
-    params(("id" = String, Path, description = "Id of the job"), ("name" = String, Path, description = "Name of the artifact"),
-        ("Range" = Option<String>, Header, description = "One range of bytes"),
-        ("If-Range" = Option<String>, Header, description = "ETag under which `Range` holds"),
-        ("If-None-Match" = Option<String>, Header, description = "ETags that the client has")),
+    params(JobPath, ("name" = String, Path, description = "Name of the artifact", example = "model.glb"), ArtifactHeaders),
     responses(
-        (status = 200, description = "The bytes", content(
-            (Vec<u8> = "application/octet-stream"), (Vec<u8> = "model/gltf-binary"), (serde_json::Value = "model/gltf+json"),
-            (serde_json::Value = "application/json"), (Vec<u8> = "application/zip"), (Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"),
-            (Vec<u8> = "image/webp"), (Vec<u8> = "image/svg+xml"))),
-        (status = 206, description = "The bytes of the range", content(
-            (Vec<u8> = "application/octet-stream"), (Vec<u8> = "model/gltf-binary"), (serde_json::Value = "model/gltf+json"),
-            (serde_json::Value = "application/json"), (Vec<u8> = "application/zip"), (Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"),
-            (Vec<u8> = "image/webp"), (Vec<u8> = "image/svg+xml"))),
+        (status = 200, response = ArtifactBytes),
+        (status = 206, response = ArtifactBytes),
         (status = 304, description = "The client has it"),
         (status = 404, description = "No such job or artifact", body = Problem, content_type = "application/problem+json"),
         (status = 410, description = "The artifacts have been removed", body = Problem, content_type = "application/problem+json"),

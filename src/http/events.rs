@@ -12,13 +12,19 @@ use axum::extract::{Path, State};
 use axum::http::HeaderMap;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use futures_util::stream::{Stream, unfold};
+use serde::Serialize;
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
+use utoipa::openapi::schema::{ObjectBuilder, Ref, Type};
+use utoipa::openapi::{RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
 
 use super::App;
+use super::examples;
+use super::jobs::JobPath;
 use super::problem::{HandlerResult, Problem};
 use crate::context::Progress;
-use crate::error::Code;
+use crate::error::{Code, Warning};
 use crate::jobs::hub::LiveJob;
 use crate::jobs::record::{Job, JobState};
 
@@ -29,13 +35,70 @@ const MAX_INTERVAL: Duration = Duration::from_secs(3);
 /// A comment goes out when nothing else has for so long.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
+/// An event of a job, by its name; the data is JSON.
+#[derive(ToSchema)]
+#[serde(tag = "event", content = "data", rename_all = "snake_case")]
+#[expect(dead_code, reason = "describes the stream in the OpenAPI document")]
+enum JobEvent {
+    /// The job as it is when the stream begins.
+    #[schema(title = "SnapshotEvent")]
+    Snapshot(Box<Job>),
+    /// The job has come further, or has entered a stage.
+    #[schema(title = "ProgressEvent")]
+    Progress(Progress),
+    /// What the user should know, as it is found.
+    #[schema(title = "WarningEvent")]
+    Warning(Warning),
+    /// The job has another state; the last event tells the final one.
+    #[schema(title = "StateEvent")]
+    State(ToldState),
+}
+
+/// The data of `state`.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "describes the stream in the OpenAPI document")]
+enum ToldState {
+    /// The job.
+    Job(Box<Job>),
+    /// A job that was deleted under the client's eyes.
+    Deleted(DeletedJob),
+}
+
+/// What is left of a job that was deleted.
+#[derive(Serialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+struct DeletedJob {
+    /// Its id.
+    id: String,
+    /// `canceled`.
+    state: JobState,
+}
+
+/// The text of the stream: `event`, `id` and `data` lines, an empty line after each event.
+struct EventStreamText;
+
+impl PartialSchema for EventStreamText {
+    fn schema() -> RefOr<Schema> {
+        let text = ObjectBuilder::new().schema_type(Type::String).content_media_type("text/event-stream");
+        text.content_schema(Some(Ref::from_schema_name(JobEvent::name()))).into()
+    }
+}
+
+impl ToSchema for EventStreamText {
+    fn schemas(schemas: &mut Vec<(String, RefOr<Schema>)>) {
+        schemas.push((JobEvent::name().into_owned(), JobEvent::schema()));
+        JobEvent::schemas(schemas);
+    }
+}
+
 /// The events of a job: `snapshot` first, then `progress`, `warning` and `state`, until it is final.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
-    params(("id" = String, Path, description = "Id of the job"),
-        ("Last-Event-ID" = Option<String>, Header, description = "The last event that the client has")),
+    params(JobPath,
+        ("Last-Event-ID" = Option<String>, Header, example = "1.2.0", description = "The last event that the client has")),
     responses(
         (status = 200, description = "`snapshot` and `state` carry the job, `progress` its progress, `warning` one warning",
-            content_type = "text/event-stream", body = serde_json::Value),
+            content_type = "text/event-stream", body = inline(EventStreamText), example = json!(examples::events())),
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn follow(
     State(app): State<App>,
@@ -91,7 +154,7 @@ impl EventStream {
                 Ok(job) => self.pending.extend(self.cursor.advance(&job)),
                 Err(failure) if failure.code == Code::NotFound => {
                     self.cursor.state = Some(JobState::Canceled);
-                    let gone = serde_json::json!({"id": self.id, "state": JobState::Canceled});
+                    let gone = DeletedJob { id: self.id.clone(), state: JobState::Canceled };
                     self.pending.push_back(self.cursor.event("state", &gone));
                 }
                 // The queue may come back.

@@ -9,6 +9,8 @@ use sha2::{Digest, Sha256};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
+use super::document::Binary;
+use super::examples;
 use super::prefer;
 use super::problem::{HandlerResult, Problem};
 use super::upload::{self, Submission};
@@ -22,26 +24,32 @@ fn retry_after(app: &App, job: &Job) -> HeaderValue {
 
 /// Submits a model. Container, options and limits are checked at once, everything else when the job runs: follow it.
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs",
-    params(("recipe" = Option<String>, Query, description = "With a raw model: a preset, or stages joined by commas"),
-        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
-        ("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255,
+    params(("recipe" = Option<String>, Query, description = "With a raw model: a preset, or stages joined by commas", example = "pack"),
+        ("Prefer" = Option<String>, Header, example = "wait=10",
+            description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
+        ("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255, example = "build-17",
             description = "The client's name for this request: sent again under it, it is answered with the job that it made"),
-        ("X-Request-Id" = Option<String>, Header, description = "Stands in the logs beside everything that the job does")),
-    request_body(content(
-        (Submission = "multipart/form-data"), (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "application/zip"),
-        (Vec<u8> = "application/octet-stream"), (String = "model/gltf+json"))),
+        ("X-Request-Id" = Option<String>, Header, example = "build-17/step-2", description = "Stands in the logs beside everything that the job does")),
+    request_body(description = "A form, or the model alone", content(
+        (Submission = "multipart/form-data", encoding(("options" = (content_type = "application/json"))), examples(
+            ("pack-gate" = (summary = "Packs, and fails where nothing is gained", value = json!(examples::pack()))),
+            ("scan" = (summary = "Merges the charts of a scan", value = json!(examples::scan()))),
+            ("box_cutter" = (summary = "Cuts charts along their edges", value = json!(examples::box_cutter()))))),
+        (inline(Binary) = "model/gltf-binary"), (inline(Binary) = "application/zip"), (inline(Binary) = "application/octet-stream"),
+        (serde_json::Map<String, serde_json::Value> = "model/gltf+json", example = json!({"asset": {"version": "2.0"}})))),
     responses(
         (status = 200, description = "Waited for: the job is final", body = Job,
-            headers(("Location" = String, description = "The job"), ("Preference-Applied" = String, description = "The wait"))),
+            headers(("Location" = String, description = "The job"), ("Preference-Applied" = String, description = "The wait")), example = json!(examples::job())),
         (status = 202, description = "Stored", body = Job,
             headers(("Location" = String, description = "The job"), ("Retry-After" = u32, description = "Seconds"),
                 ("Preference-Applied" = Option<String>, description = "The wait that was not long enough"),
-                ("Idempotency-Replayed" = Option<String>, description = "`true`: the request was known by its key"))),
+                ("Idempotency-Replayed" = Option<String>, description = "`true`: the request was known by its key")), example = json!(examples::queued())),
         (status = 408, description = "The upload stood still", body = Problem, content_type = "application/problem+json"),
         (status = 400, description = "Not a model, or a malformed request", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "A limit is exceeded", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "Neither multipart nor a model", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The options are not valid, or the key belongs to another request", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The options are not valid, or the key belongs to another request", body = Problem,
+            content_type = "application/problem+json", example = json!(examples::invalid_options())),
         (status = 503, description = "The queue is full", body = Problem, content_type = "application/problem+json",
             headers(("Retry-After" = u32, description = "Seconds")))))]
 pub(super) async fn submit(State(app): State<App>, request: Request) -> HandlerResult {
@@ -76,12 +84,13 @@ pub(super) async fn submit(State(app): State<App>, request: Request) -> HandlerR
 
 /// A job.
 #[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs",
-    params(("id" = String, Path, description = "Id of the job"),
-        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
+    params(JobPath,
+        ("Prefer" = Option<String>, Header, example = "wait=10",
+            description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
         ("If-None-Match" = Option<String>, Header, description = "ETags that the client has")),
     responses(
-        (status = 200, body = Job, headers(("ETag" = String, description = "Of this answer"),
-            ("Retry-After" = u32, description = "Seconds; until the job is final"))),
+        (status = 200, description = "As it is now", body = Job, headers(("ETag" = String, description = "Of this answer"),
+            ("Retry-After" = u32, description = "Seconds; until the job is final")), example = json!(examples::job())),
         (status = 304, description = "Nothing has changed"),
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> HandlerResult {
@@ -112,6 +121,16 @@ pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers
     Ok(response)
 }
 
+/// Which job is meant.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[expect(dead_code, reason = "describes the path in the OpenAPI document")]
+pub(super) struct JobPath {
+    /// Id of the job.
+    #[param(example = "8c2f6d0b5e9a4c17b3d8f1a26e7c9054")]
+    id: String,
+}
+
 /// Which jobs are wanted.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
@@ -137,7 +156,7 @@ pub(super) struct JobPage {
 
 /// All jobs, page by page; only where the service was started with `--list-jobs`.
 #[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(ListQuery), responses(
-    (status = 200, body = JobPage),
+    (status = 200, description = "A page of them", body = JobPage, example = json!(examples::page())),
     (status = 400, description = "A malformed query", body = Problem, content_type = "application/problem+json"),
     (status = 404, description = "The service does not list jobs", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn list(
@@ -158,9 +177,9 @@ pub(super) async fn list(
 
 /// Cancels a job: at once while it waits, soon when it runs.
 #[utoipa::path(post, path = "/v1/jobs/{id}/cancel", tag = "jobs",
-    params(("id" = String, Path, description = "Id of the job")),
+    params(JobPath),
     responses(
-        (status = 202, description = "It will stop, or has", body = Job),
+        (status = 202, description = "It will stop, or has", body = Job, example = json!(examples::canceled())),
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> HandlerResult<(StatusCode, Json<Job>)> {
@@ -169,7 +188,7 @@ pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> Ha
 
 /// Deletes a job and its files; cancels it when it runs.
 #[utoipa::path(delete, path = "/v1/jobs/{id}", tag = "jobs",
-    params(("id" = String, Path, description = "Id of the job")),
+    params(JobPath),
     responses(
         (status = 204, description = "It is gone"),
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]

@@ -1,7 +1,9 @@
 //! The service: routes on one screen ([`router`]), one file a resource, problem details.
 
 mod artifacts;
+mod document;
 mod events;
+mod examples;
 mod health;
 mod jobs;
 mod prefer;

@@ -8,6 +8,7 @@ use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::App;
+use super::examples;
 use crate::asset::MAX_ENTRIES;
 use crate::refine::erased::{ErasedStage, NamedSchemas};
 use crate::refine::options::{Options, OptionsSchema};
@@ -49,7 +50,8 @@ struct StageInfo {
 }
 
 /// Presets, and stages with their parameters as JSON Schema.
-#[utoipa::path(get, path = "/v1/recipes", tag = "service", responses((status = 200, body = Recipes)))]
+#[utoipa::path(get, path = "/v1/recipes", tag = "service", responses(
+    (status = 200, description = "What can be asked for", body = Recipes, example = json!(examples::recipes()))))]
 pub(super) async fn recipes() -> Json<Recipes> {
     let recipes = recipe::recipes().map(|(name, description)| Named { name, description }).collect();
     let stages = table::all().map(|stage| StageInfo::new(&stage)).collect();
@@ -124,7 +126,8 @@ pub(super) struct LimitList {
 }
 
 /// Every limit of this service.
-#[utoipa::path(get, path = "/v1/limits", tag = "service", responses((status = 200, body = LimitList)))]
+#[utoipa::path(get, path = "/v1/limits", tag = "service", responses(
+    (status = 200, description = "How much of it", body = LimitList, example = json!(examples::limits()))))]
 pub(super) async fn limits(State(app): State<App>) -> Json<LimitList> {
     let l = &app.jobs.limits;
     Json(LimitList {
@@ -209,6 +212,58 @@ mod tests {
             for part in text.split("#/$defs/").skip(1) {
                 let name = part.split('"').next().unwrap();
                 assert!(schema["$defs"].get(name).is_some(), "{name} is not defined");
+            }
+        }
+    }
+
+    /// A schema with those that it refers to or is one of, except other sections.
+    fn alternatives<'a>(all: &'a Value, schema: &'a Value) -> Vec<&'a Value> {
+        let referred = schema["$ref"].as_str().map(|target| &all["$defs"][target.trim_start_matches("#/$defs/")]);
+        let one_of = schema["oneOf"].as_array().into_iter().flatten();
+        let more = referred.into_iter().chain(one_of).flat_map(|part| alternatives(all, part));
+        std::iter::once(schema).chain(more).collect()
+    }
+
+    #[tokio::test]
+    async fn the_bounds_of_the_schema_are_those_that_are_held() {
+        let all = &listing().await["options"];
+        let mut bounds = 0;
+        let mut hold = |path: &[&str], schema: &Value| {
+            for (key, beyond) in [("minimum", -1.0), ("maximum", 1.0), ("exclusiveMinimum", 0.0)] {
+                let Some(end) = alternatives(all, schema).iter().find_map(|s| s[key].as_f64()) else { continue };
+                let number = |n: f64| if n.fract() == 0.0 { json!(n as i64) } else { json!(n) };
+                let given = |n: f64| path.iter().rev().fold(number(n), |inner, key| json!({*key: inner}));
+                assert!(beyond == 0.0 || parse::options(&given(end)).is_ok(), "{path:?}: {key} {end} is refused");
+                assert!(parse::options(&given(end + beyond)).is_err(), "{path:?}: {key} {end} does not hold");
+                bounds += 1;
+            }
+        };
+        for (key, schema) in all["properties"].as_object().unwrap() {
+            hold(&[key], schema);
+            for section in alternatives(all, schema) {
+                for (parameter, schema) in section["properties"].as_object().into_iter().flatten() {
+                    hold(&[key, parameter], schema);
+                }
+            }
+        }
+        assert!(bounds > 60, "{bounds} bounds");
+    }
+
+    /// What a preset has another value for has no default: a client that sends defaults along would undo the preset.
+    #[tokio::test]
+    async fn a_default_holds_with_every_recipe() {
+        let all = &listing().await["options"];
+        for (name, _) in recipe::recipes() {
+            let with_recipe = serde_json::to_value(Options::preset(name)).unwrap();
+            for (section, schema) in all["properties"].as_object().unwrap() {
+                for part in alternatives(all, schema) {
+                    for (key, schema) in part["properties"].as_object().into_iter().flatten() {
+                        let own = with_recipe.pointer(&format!("/{section}/{key}"));
+                        if let (Some(default), Some(own)) = (schema.get("default"), own) {
+                            assert_eq!(own, default, "{section}.{key} with {name}");
+                        }
+                    }
+                }
             }
         }
     }

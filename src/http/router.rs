@@ -14,13 +14,13 @@ use tower_http::cors::{AllowOrigin, Any, CorsLayer};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::trace::{DefaultOnFailure, DefaultOnResponse, TraceLayer};
 use tracing::Level;
-use utoipa::openapi::{Components, InfoBuilder, LicenseBuilder, OpenApi, OpenApiBuilder};
+use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::problem::Problem;
 use super::sites::{self, Sites};
-use super::{App, artifacts, events, health, jobs, recipes};
+use super::{App, artifacts, document, events, health, jobs, recipes};
 use crate::error::Code;
 
 /// How long a browser remembers what a page may send: the most that browsers take.
@@ -28,11 +28,12 @@ const PREFLIGHT_AGE: Duration = Duration::from_secs(7200);
 
 /// The routes.
 fn all_routes() -> OpenApiRouter<App> {
-    OpenApiRouter::with_openapi(openapi_head())
+    OpenApiRouter::with_openapi(document::head())
         .routes(routes!(jobs::submit, jobs::list))
         .routes(routes!(jobs::read, jobs::delete))
         .routes(routes!(jobs::cancel))
         .routes(routes!(events::follow))
+        .routes(routes!(artifacts::report))
         .routes(routes!(artifacts::fetch))
         .routes(routes!(recipes::recipes))
         .routes(routes!(recipes::limits))
@@ -79,7 +80,7 @@ pub fn router(app: App, sites: Sites) -> Router {
 
 /// The OpenAPI document.
 pub fn openapi() -> OpenApi {
-    all_routes().into_openapi()
+    document::complete(all_routes().into_openapi())
 }
 
 /// The OpenAPI document as it stands in `api/openapi.json`.
@@ -87,18 +88,6 @@ pub fn openapi_text() -> String {
     let mut text = serde_json::to_string_pretty(&openapi()).unwrap_or_default();
     text.push('\n');
     text
-}
-
-fn openapi_head() -> OpenApi {
-    let info = InfoBuilder::new()
-        .title("Intarsia")
-        .version(env!("CARGO_PKG_VERSION"))
-        .description(Some(
-            "Refines the texture atlases of 3D models. Submit a model, follow its job, fetch the artifacts.",
-        ))
-        .license(Some(LicenseBuilder::new().name("MIT OR Apache-2.0").build()))
-        .build();
-    OpenApiBuilder::new().info(info).components(Some(Components::new())).build()
 }
 
 fn cors(sites: &Sites) -> CorsLayer {

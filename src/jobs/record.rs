@@ -102,10 +102,12 @@ impl Serialize for Timestamp {
 #[derive(Debug, Clone, Serialize, ToSchema)]
 pub struct Job {
     /// 128 random bits in hexadecimal digits. Knowing it is the right to read the job.
+    #[schema(pattern = "^[0-9a-f]{32}$")]
     pub id: String,
     /// Where it stands.
     pub state: JobState,
     /// The recipe of its options.
+    #[schema(value_type = crate::refine::options::Recipe)]
     pub recipe: Value,
     /// Its options, all defaults filled in.
     #[schema(value_type = crate::refine::options::OptionsSchema)]
@@ -113,6 +115,7 @@ pub struct Job {
     /// How far it is.
     pub progress: Progress,
     /// 1 for the job that runs next; null unless queued.
+    #[schema(minimum = 1)]
     pub queue_position: Option<u64>,
     /// How often it was started.
     pub attempt: u32,
@@ -136,6 +139,7 @@ pub struct Job {
     /// Its results.
     pub artifacts: Vec<ArtifactEntry>,
     /// The `metadata` of its options.
+    #[schema(value_type = serde_json::Map<String, Value>)]
     pub metadata: Value,
 }
 
@@ -171,6 +175,7 @@ pub struct ArtifactEntry {
     /// Length in bytes.
     pub bytes: u64,
     /// SHA-256 in hexadecimal digits.
+    #[schema(pattern = "^[0-9a-f]{64}$")]
     pub sha256: String,
     /// Where it can be fetched, relative to the service; null when it has been removed.
     pub href: Option<String>,

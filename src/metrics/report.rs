@@ -135,6 +135,7 @@ pub struct TextureReport {
     /// Texels of the slot, on all pages, whose centre a chart covers and that were copied unchanged.
     pub verbatim_texels: u64,
     /// Surface colour before against after, before encoding, in dB, at most 120; null for directions.
+    #[schema(maximum = 120)]
     pub psnr_db: Option<f64>,
     /// Whether at all sampled points the texels of the bilinear footprint are equal (directions: after the turn).
     pub exact: bool,

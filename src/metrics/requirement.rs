@@ -6,6 +6,7 @@ use utoipa::ToSchema;
 /// Bounds on one figure of the report.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
+#[schema(min_properties = 1)]
 pub struct Requirement {
     /// The figure after refinement is at least this.
     pub min: Option<f64>,

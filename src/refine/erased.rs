@@ -195,9 +195,22 @@ fn recipe_item(stage: &ErasedStage) -> Schema {
         RefOr::T(Schema::Object(parameters)) if !stage.is_shared() => parameters,
         _ => Object::new(),
     };
+    item.properties.values_mut().for_each(forget_default);
     item.properties.insert("stage".to_owned(), RefOr::T(name.into()));
     item.required = vec!["stage".to_owned()];
     item.additional_properties = Some(Box::new(AdditionalProperties::FreeForm(false)));
     item.description = Some(format!("{} {place} `{}`.", stage.description(), stage.name()));
+    item.title = Some(format!("{}Stage", stage.schema_name()));
     item.into()
+}
+
+/// Takes the default from a schema, for a place where what is left out means something else.
+pub(super) fn forget_default(schema: &mut RefOr<Schema>) {
+    match schema {
+        RefOr::Ref(reference) => reference.default = None,
+        RefOr::T(Schema::Object(object)) => object.default = None,
+        RefOr::T(Schema::OneOf(one)) => one.default = None,
+        RefOr::T(Schema::Array(list)) => list.default = None,
+        RefOr::T(_) => {}
+    }
 }

@@ -9,8 +9,11 @@ use std::collections::BTreeMap;
 use image::DynamicImage;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use utoipa::ToSchema;
+use utoipa::openapi::schema::{AdditionalProperties, ObjectBuilder, OneOfBuilder, Type};
+use utoipa::openapi::{Ref, RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
 
+use super::erased::NamedSchemas;
 use crate::asset::{self, ComponentType, Document, File, Kind, Limits, PrimitiveRef, TextureSet};
 use crate::atlas::Provenance;
 use crate::context::Context;
@@ -24,7 +27,7 @@ const ORDINARY: f64 = 1.0;
 const SPAN: f64 = 99.0;
 
 /// Where weights come from: 1 is ordinary, 100 matters a hundred times as much, 0 not at all.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ImportanceSource {
     /// A vertex attribute and its component (r, g, b, a or x, y, z, w), such as `COLOR_0.r`: floats or normalised integers. Values
@@ -35,6 +38,47 @@ pub enum ImportanceSource {
     Texture(String),
     /// Weights by the materials' names, each at least 0; the others weigh 1.
     Materials(BTreeMap<String, f64>),
+}
+
+/// A schema with a name, because generators of clients stumble over one inside the others.
+const MATERIAL_WEIGHTS: &str = "MaterialWeights";
+
+/// By hand: what can be derived knows neither bounds nor that there is one key only.
+impl PartialSchema for ImportanceSource {
+    fn schema() -> RefOr<Schema> {
+        let text = || ObjectBuilder::new().schema_type(Type::String);
+        let attribute = text().pattern(Some(r"^.+\.[rgbaxyzw]$")).description(Some(
+            "A vertex attribute and its component, such as `COLOR_0.r`: floats or normalised integers. Values in 0..=1 are the weights \
+             1..=100; where any value is above 1, all are taken as they are. Primitives without it weigh 1.",
+        ));
+        let texture = text().min_length(Some(1)).description(Some(
+            "A file that comes with the model, read at the uploaded texture coordinates (repeated): its first channel, linear, 0..=1, \
+             is the weights 1..=100.",
+        ));
+        let mut weights = Ref::from_schema_name(MATERIAL_WEIGHTS);
+        weights.description = "Weights by the materials' names; the others weigh 1.".to_owned();
+        let closed = AdditionalProperties::<Schema>::FreeForm(false);
+        let only = |title: &str, key: &str, value: RefOr<Schema>| {
+            let object = ObjectBuilder::new().title(Some(title)).property(key, value).required(key);
+            object.additional_properties(Some(closed.clone()))
+        };
+        OneOfBuilder::new()
+            .item(only("ImportanceByAttribute", "attribute", attribute.into()))
+            .item(only("ImportanceByTexture", "texture", texture.into()))
+            .item(only("ImportanceByMaterials", "materials", weights.into()))
+            .description(Some(
+                "Where weights come from: 1 is ordinary, 100 matters a hundred times as much, 0 not at all.",
+            ))
+            .into()
+    }
+}
+
+impl ToSchema for ImportanceSource {
+    fn schemas(schemas: &mut NamedSchemas) {
+        let weight = ObjectBuilder::new().schema_type(Type::Number).minimum(Some(0));
+        let weights = ObjectBuilder::new().additional_properties(Some(weight));
+        schemas.push((MATERIAL_WEIGHTS.to_owned(), weights.into()));
+    }
 }
 
 impl ImportanceSource {

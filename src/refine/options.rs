@@ -4,19 +4,19 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
-use utoipa::openapi::schema::AdditionalProperties;
+use utoipa::openapi::schema::{AdditionalProperties, Type};
 use utoipa::openapi::{Object, RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
-use super::erased::{ErasedStage, NamedSchemas};
+use super::erased::{ErasedStage, NamedSchemas, forget_default};
 pub use super::fabrication::{FabricationParams, Seams};
 pub use super::importance::ImportanceSource;
 pub use super::recipe::Recipe;
-use super::recipe::{PresetStage, Step, preset};
+use super::recipe::{PRESETS, PresetStage, Step, preset};
 use super::table::{self, StageSections};
 use crate::asset::{ReadOptions, Tiling};
 use crate::atlas::OverlapMode;
-use crate::metrics::Requirement;
+use crate::metrics::{self, Requirement};
 use crate::packing::Pack;
 use crate::params::params;
 use crate::texture::Texture;
@@ -98,7 +98,8 @@ fn merge(base: &mut Value, over: Value) {
     }
 }
 
-/// The schema of [`Options`]: one object, in which the stages' sections stand beside the others, and nothing else may.
+/// The schema of [`Options`]: one object, in which the stages' sections stand beside the others, and nothing else may. A default stands
+/// where what is left out has that value with every recipe.
 pub struct OptionsSchema;
 
 impl PartialSchema for OptionsSchema {
@@ -106,7 +107,34 @@ impl PartialSchema for OptionsSchema {
         let mut options = Object::new();
         gather(Options::schema(), &mut options);
         options.additional_properties = Some(Box::new(AdditionalProperties::FreeForm(false)));
+        let sections = options
+            .properties
+            .values_mut()
+            .filter(|p| matches!(p, RefOr::Ref(r) if r.default.as_ref().is_some_and(Value::is_object)));
+        sections.for_each(forget_default);
+        if let Some(RefOr::T(Schema::Object(require))) = options.properties.get_mut("require") {
+            let paths = Object::builder().schema_type(Type::String).enum_values(Some(metrics::paths()));
+            require.property_names = Some(Box::new(paths.build().into()));
+        }
         RefOr::T(options.into())
+    }
+}
+
+/// Takes the defaults from those parameters that a preset has another value for.
+fn forget_defaults_of_presets(schemas: &mut NamedSchemas) {
+    let RefOr::T(Schema::Object(options)) = OptionsSchema::schema() else { return };
+    for preset in PRESETS {
+        let own: Map<String, Value> = serde_json::from_str(preset.options).unwrap_or_default();
+        for (section, parameters) in own.iter().filter_map(|(key, own)| Some((key, own.as_object()?))) {
+            let Some(RefOr::Ref(section)) = options.properties.get(section) else { continue };
+            let is_own = |name: &str| section.ref_location.rsplit('/').next() == Some(name);
+            for (_, schema) in schemas.iter_mut().filter(|(name, _)| is_own(name)) {
+                let RefOr::T(Schema::Object(schema)) = schema else { continue };
+                for key in parameters.keys() {
+                    schema.properties.get_mut(key).into_iter().for_each(forget_default);
+                }
+            }
+        }
     }
 }
 
@@ -133,6 +161,7 @@ impl ToSchema for OptionsSchema {
 
     fn schemas(schemas: &mut NamedSchemas) {
         Options::schemas(schemas);
+        forget_defaults_of_presets(schemas);
     }
 }
 

@@ -1,16 +1,18 @@
 //! What a recipe is: stages in order, or the name of a preset, which is a row of a table.
 
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, OneOfBuilder, Type};
+use utoipa::openapi::{Ref, RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
 
-use super::erased::ErasedStage;
+use super::erased::{ErasedStage, NamedSchemas};
 use super::table;
 
 /// Most stages of a recipe.
 pub const MAX_STAGES: usize = 32;
 
 /// A preset or a list of stages.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Recipe {
     /// Name of a preset or of a single stage.
@@ -22,6 +24,33 @@ pub enum Recipe {
 impl Default for Recipe {
     fn default() -> Self {
         Recipe::Preset("pack".to_owned())
+    }
+}
+
+impl PartialSchema for Recipe {
+    fn schema() -> RefOr<Schema> {
+        let text = || ObjectBuilder::new().schema_type(Type::String);
+        let name = text().enum_values(Some(recipes().map(|(name, _)| name)));
+        let stages: Vec<&str> = table::all().map(|stage| stage.name()).collect();
+        let (stage, more) = (stages.join("|"), MAX_STAGES - 1);
+        let joined = text().pattern(Some(format!(r"^\s*({stage})\s*(,\s*({stage})\s*){{1,{more}}}$")));
+        let stages = ArrayBuilder::new()
+            .items(Ref::from_schema_name(ErasedStage::name()))
+            .min_items(Some(1))
+            .max_items(Some(MAX_STAGES));
+        OneOfBuilder::new()
+            .item(name.description(Some("A preset, or a stage alone.")))
+            .item(joined.description(Some("Stages in order, joined by commas.")))
+            .item(stages.description(Some("Stages in order, with their parameters.")))
+            .description(Some("A preset or a list of stages."))
+            .into()
+    }
+}
+
+impl ToSchema for Recipe {
+    fn schemas(schemas: &mut NamedSchemas) {
+        schemas.push((ErasedStage::name().into_owned(), ErasedStage::schema()));
+        ErasedStage::schemas(schemas);
     }
 }
 

@@ -103,7 +103,6 @@ impl PartialSchema for StageSections {
                 "Parameters of the stage `{}`, where a stage of the recipe does not say its own.",
                 stage.name()
             );
-            section.default = Some(stage.to_value());
             object.properties.insert(stage.name().to_owned(), section.into());
         }
         RefOr::T(object.into())

@@ -1,0 +1,93 @@
+//! The examples of the OpenAPI document: files of `api/examples`, and what is made of them.
+
+use serde_json::{Value, json};
+
+/// A file of `api/examples` as JSON; a test holds each against its schema.
+macro_rules! example {
+    ($file:literal) => {
+        serde_json::from_str::<Value>(include_str!(concat!("../../api/examples/", $file))).unwrap_or_default()
+    };
+}
+
+/// A submission with the options of `pack-gate.json`.
+pub(super) fn pack() -> Value {
+    submission(example!("pack-gate.json"))
+}
+
+/// A submission with the options of `scan.json`.
+pub(super) fn scan() -> Value {
+    submission(example!("scan.json"))
+}
+
+/// A submission with the options of `box_cutter.json`.
+pub(super) fn box_cutter() -> Value {
+    submission(example!("box_cutter.json"))
+}
+
+fn submission(options: Value) -> Value {
+    json!({"model": ["(the bytes of model.glb)"], "options": options})
+}
+
+/// A job that has succeeded.
+pub(super) fn job() -> Value {
+    example!("answers/job.json")
+}
+
+/// The same job before it runs.
+pub(super) fn queued() -> Value {
+    example!("answers/queued.json")
+}
+
+/// The same job when it was stopped.
+pub(super) fn canceled() -> Value {
+    let mut job = queued();
+    job["state"] = json!("canceled");
+    job["queue_position"] = Value::Null;
+    job["finished_at"] = job["created_at"].clone();
+    job
+}
+
+/// A page with that job.
+pub(super) fn page() -> Value {
+    json!({"jobs": [job()], "next": 17})
+}
+
+/// The events of that job, from its snapshot to its end.
+pub(super) fn events() -> Value {
+    let (queued, done) = (queued(), job());
+    let event = |id: &str, name: &str, data: &Value| format!("event: {name}\nid: {id}\ndata: {data}\n\n");
+    let text = [
+        event("0.0.0", "snapshot", &queued),
+        event("1.4.0", "progress", &done["progress"]),
+        event("1.4.0", "state", &done),
+    ];
+    Value::String(text.concat())
+}
+
+/// That job's report.
+pub(super) fn report() -> Value {
+    example!("answers/report.json")
+}
+
+/// What is listed of recipes, shortened.
+pub(super) fn recipes() -> Value {
+    example!("answers/recipes.json")
+}
+
+/// The limits of a service with the defaults.
+pub(super) fn limits() -> Value {
+    example!("answers/limits.json")
+}
+
+/// A service that is well.
+pub(super) fn health() -> Value {
+    json!({"status": "ok", "version": env!("CARGO_PKG_VERSION")})
+}
+
+/// Why options are refused.
+pub(super) fn invalid_options() -> Value {
+    json!(super::problem::Problem::options(vec![crate::params::Problem::new(
+        "/pack/grid",
+        "`grid` is 65, outside 1..=64"
+    )]))
+}
