@@ -12,7 +12,7 @@ use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
 use tokio::fs::File;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use utoipa::openapi::{self, HeaderBuilder, RefOr};
-use utoipa::{IntoParams, PartialSchema, ToResponse};
+use utoipa::{IntoParams, PartialSchema, ToResponse, ToSchema};
 
 use super::App;
 use super::document::Binary;
@@ -42,25 +42,23 @@ struct ArtifactHeaders {
     if_none_match: Option<String>,
 }
 
-/// The bytes of an artifact, or of a range of it.
+/// The bytes of an artifact.
 pub(super) struct ArtifactBytes;
 
 impl ToResponse<'_> for ArtifactBytes {
     fn response() -> (&'static str, RefOr<openapi::Response>) {
         // Generators take the first for all of them.
-        let types = [
-            "application/octet-stream",
-            "model/gltf-binary",
-            "model/gltf+json",
-            "application/zip",
-            "application/json",
-            "image/svg+xml",
-        ];
+        let types =
+            ["application/octet-stream", "model/gltf-binary", "model/gltf+json", "application/zip", "image/svg+xml"];
         let images = [Format::Png, Format::Jpeg, Format::Webp, Format::Ktx2].map(Format::media_type);
-        let response = types.into_iter().chain(images).fold(
-            openapi::ResponseBuilder::new().description("The bytes; after a request for a range, those of the range"),
-            |response, media_type| response.content(media_type, openapi::Content::new(Some(Binary::schema()))),
-        );
+        let response = types
+            .into_iter()
+            .chain(images)
+            .fold(openapi::ResponseBuilder::new().description("The bytes"), |response, media_type| {
+                response.content(media_type, openapi::Content::new(Some(Binary::schema())))
+            });
+        let report = openapi::Content::new(Some(openapi::Ref::from_schema_name(Report::name())));
+        let response = response.content("application/json", report);
         let header = |text: &str| HeaderBuilder::new().description(Some(text)).build();
         let response = response
             .header("ETag", header("Of the artifact: its SHA-256"))
@@ -74,7 +72,8 @@ impl ToResponse<'_> for ArtifactBytes {
 #[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/report.json", tag = "jobs", params(JobPath, ArtifactHeaders),
     responses(
         (status = 200, description = "The report", body = Report, example = json!(examples::report())),
-        (status = 206, description = "The bytes of the range"),
+        (status = 206, description = "The bytes of the range",
+            headers(("Content-Range" = String, description = "Where they stand in the whole"))),
         (status = 304, description = "The client has it"),
         (status = 404, description = "No such job, or it has no report", body = Problem, content_type = "application/problem+json"),
         (status = 410, description = "The artifacts have been removed", body = Problem, content_type = "application/problem+json"),
@@ -88,7 +87,8 @@ pub(super) async fn report(app: State<App>, Path(id): Path<String>, headers: Hea
     params(JobPath, ("name" = String, Path, description = "Name of the artifact", example = "model.glb"), ArtifactHeaders),
     responses(
         (status = 200, response = ArtifactBytes),
-        (status = 206, response = ArtifactBytes),
+        (status = 206, description = "The bytes of the range, in the media type of the whole",
+            headers(("Content-Range" = String, description = "Where they stand in the whole"))),
         (status = 304, description = "The client has it"),
         (status = 404, description = "No such job or artifact", body = Problem, content_type = "application/problem+json"),
         (status = 410, description = "The artifacts have been removed", body = Problem, content_type = "application/problem+json"),

@@ -51,9 +51,13 @@ pub(super) fn deliver(
     artifacts.append(&mut panels);
     if input.extras {
         for r in &refinements {
-            // A texture that several sets share may stand beside its models already.
-            let fresh = extras(r).into_iter().filter(|e| artifacts.iter().all(|a| a.name != e.name));
-            artifacts.extend(fresh.collect::<Vec<_>>());
+            for file in extras(r) {
+                // A texture may stand beside its models already: it is there once.
+                match artifacts.iter_mut().find(|a| a.name == file.name) {
+                    Some(known) => known.role = file.role,
+                    None => artifacts.push(file),
+                }
+            }
         }
         let archive = archive(&artifacts)?;
         artifacts.push(Artifact::new("result.zip", "archive", "application/zip", archive));

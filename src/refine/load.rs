@@ -71,7 +71,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
             }
             failure
         });
-        let (doc, indexed, merge, own, left) = own?;
+        let ReadModel { doc, index: indexed, merge, sets: own, unused: left } = own?;
         let left: BTreeSet<String> = left.into_iter().collect();
         unused = Some(unused.map_or(left.clone(), |before| &before & &left));
         sets.extend(own.into_iter().map(|set| (index, set)));
@@ -155,6 +155,16 @@ fn label(models: &[Vec<File>], index: usize) -> String {
     own.filter(|_| alike == 1).unwrap_or_else(|| format!("model {index}"))
 }
 
+/// A model as it was read.
+struct ReadModel {
+    doc: Document,
+    index: MaterialIndex,
+    merge: Option<Merge>,
+    sets: Vec<TextureSet>,
+    /// Paths of files that it does not name.
+    unused: Vec<String>,
+}
+
 fn read(
     files: &[File],
     count: usize,
@@ -162,7 +172,7 @@ fn read(
     options: &Options,
     merging: bool,
     context: &Context,
-) -> Result<(Document, MaterialIndex, Option<Merge>, Vec<TextureSet>, Vec<String>)> {
+) -> Result<ReadModel> {
     // Files that come with several models may be models themselves: the first is this one.
     let main = match &options.model {
         Some(path) if count == 1 => Some(path.as_str()),
@@ -189,7 +199,7 @@ fn read(
     for set in &mut sets {
         exempt_uniform(&doc, set, input.limits.max_image_pixels, context)?;
     }
-    Ok((doc, index, merge, sets, unused))
+    Ok(ReadModel { doc, index, merge, sets, unused })
 }
 
 /// Files that several models come with count once.

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::deliver::deliver;
 use super::load::{Loaded, load};
-use super::options::Options;
+use super::options::{Options, Output};
 use super::recipe::Step;
 use super::refinement::{Refinement, STAGE_REVERTED};
 use super::report::report;
@@ -120,7 +120,9 @@ impl<'a> Run<'a> {
         self.context.enter(1 + self.steps.len());
         let baked = self.bake(&loaded, refined)?;
         self.context.enter(2 + self.steps.len());
-        let written = write(&loaded, baked, self.context)?;
+        // Where textures are files of their own, side files are these.
+        let named = self.input.extras && self.options.output == Output::Gltf;
+        let written = write(&loaded, baked, named, self.context)?;
         let outcome = deliver(self.input, self.options, &loaded, written, self.context)?;
         self.context.finish();
         Ok(outcome)

@@ -21,22 +21,29 @@ pub(super) struct Written<'a> {
     pub merged: Vec<Merged>,
 }
 
-/// Writes the refined groups into their models, reads them back and checks them; then merges what was to be merged.
+/// Writes the refined groups into their models, reads them back and checks them; then merges what was to be merged. With `named`, the
+/// images of a model with side files are called as the textures are.
 ///
 /// # Errors
 /// `internal` when something written fails its check; `too_large`; `canceled`.
 pub(super) fn write<'a>(
     loaded: &'a Loaded,
     mut refinements: Vec<Refinement<'a>>,
+    named: bool,
     context: &Context,
 ) -> Result<Written<'a>> {
-    let mut documents = write_documents(loaded, &mut refinements, context)?;
+    let mut documents = write_documents(loaded, &mut refinements, named, context)?;
     let merged = merge(loaded, &refinements, &mut documents)?;
     Ok(Written { refinements, documents, merged })
 }
 
 /// The documents with what was refined; the Atlases of the refinements become those that the documents hold.
-fn write_documents(loaded: &Loaded, refinements: &mut [Refinement<'_>], context: &Context) -> Result<Vec<Document>> {
+fn write_documents(
+    loaded: &Loaded,
+    refinements: &mut [Refinement<'_>],
+    named: bool,
+    context: &Context,
+) -> Result<Vec<Document>> {
     let mut parts: Vec<Vec<(Cow<'_, Atlas>, Vec<FaceId>)>> = Vec::new();
     for r in refinements.iter() {
         parts.push(if r.kept { Vec::new() } else { r.group.part(&r.atlas)? });
@@ -51,7 +58,7 @@ fn write_documents(loaded: &Loaded, refinements: &mut [Refinement<'_>], context:
             for (member, (atlas, faces)) in r.group.members.iter().zip(parts).filter(|(m, _)| m.model == index) {
                 let images = r.slots.iter().filter_map(|baked| {
                     let slot = member.slots.iter().position(|s| *s == Some(baked.slot))?;
-                    Some(baked_images(r, baked, slot))
+                    Some(baked_images(r, baked, slot, named))
                 });
                 refined.push(Refined { set: &member.set, atlas, images: images.flatten().collect() });
                 owners.push((g, faces));
@@ -87,7 +94,7 @@ fn merge(loaded: &Loaded, refinements: &[Refinement<'_>], documents: &mut [Docum
 }
 
 /// The pages of a slot, for the slot of a member. Sets that share an Atlas share the files.
-fn baked_images(r: &Refinement<'_>, baked: &BakedSlot, slot: usize) -> Vec<BakedImage> {
+fn baked_images(r: &Refinement<'_>, baked: &BakedSlot, slot: usize, named: bool) -> Vec<BakedImage> {
     let files = baked.files.iter().enumerate();
     files
         .map(|(page, file)| BakedImage {
@@ -95,7 +102,7 @@ fn baked_images(r: &Refinement<'_>, baked: &BakedSlot, slot: usize) -> Vec<Baked
             page,
             format: file.format,
             bytes: file.bytes.clone(),
-            shared: r.group.is_joined().then(|| texture_name(r, baked, page)),
+            shared: (named || r.group.is_joined()).then(|| texture_name(r, baked, page)),
         })
         .collect()
 }

@@ -195,3 +195,24 @@ fn expired_artifacts_are_gone_and_the_job_stays() {
     assert_eq!((response.status().as_u16(), &json(&mut response)["code"]), (410, &json!("gone")));
     assert_eq!(server.get(&path, &[]).status(), 200);
 }
+
+#[test]
+fn a_model_with_side_files_has_each_texture_once() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let job = server.wait(&server.accepted(&Form::sample().text("options", r#"{"output": "gltf"}"#)));
+    let artifacts = job["artifacts"].as_array().unwrap();
+    let mut hashes: Vec<&str> = artifacts.iter().map(|a| a["sha256"].as_str().unwrap()).collect();
+    hashes.sort_unstable();
+    let count = hashes.len();
+    hashes.dedup();
+    assert_eq!(hashes.len(), count, "{artifacts:#?}");
+    let fetch = |name: &str| bytes(&mut server.get(artifact(&job, name)["href"].as_str().unwrap(), &[]));
+    let model: Value = serde_json::from_slice(&fetch("model.gltf")).unwrap();
+    for image in model["images"].as_array().unwrap() {
+        let texture = artifact(&job, image["uri"].as_str().unwrap());
+        assert_eq!(texture["role"], "texture");
+    }
+    let archive = zip::ZipArchive::new(std::io::Cursor::new(fetch("result.zip"))).unwrap();
+    assert_eq!(archive.len(), artifacts.len() - 1, "everything but the archive itself");
+}

@@ -42,7 +42,7 @@ fn a_request_sent_again_under_its_key_is_not_done_again() {
         assert_eq!((refused.status().as_u16(), &json(&mut refused)["code"]), (422, &json!("idempotency_mismatch")));
     }
     // What has ended need not be asked for again.
-    server.wait(&header(&first, "location").to_owned());
+    server.wait(header(&first, "location"));
     let done = server.submit_with(&Form::sample(), &key);
     assert_eq!((done.status().as_u16(), header(&done, "idempotency-replayed")), (200, "true"));
     assert!(done.headers().get("retry-after").is_none());
