@@ -14,6 +14,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::problem::Problem;
+use super::upload::DrainOnDrop;
 use crate::error::{Code, Failure, Result};
 
 /// Who may call.
@@ -109,15 +110,21 @@ pub(super) async fn check(State(sites): State<Sites>, request: Request, next: Ne
     if host.is_some_and(|host| !sites.knows_host(host)) {
         let detail = "this service listens on this machine alone and does not know the host that is asked for; --allow-host adds one";
         let problem = Problem::new(Code::InvalidRequest, detail);
-        return problem.with_status(StatusCode::MISDIRECTED_REQUEST).into_response();
+        return refused(problem.with_status(StatusCode::MISDIRECTED_REQUEST), request);
     }
     if let Some(origin) = request.headers().get(header::ORIGIN)
         && !sites.allows_origin(origin, host)
     {
         let detail = "pages of this origin may not call this service; --allow-origin lets them";
-        return Problem::new(Code::Forbidden, detail).into_response();
+        return refused(Problem::new(Code::Forbidden, detail), request);
     }
     next.run(request).await
+}
+
+/// The answer to a client that may still be sending.
+fn refused(problem: Problem, request: Request) -> Response {
+    drop(DrainOnDrop(Some(request.into_body().into_data_stream())));
+    problem.into_response()
 }
 
 #[cfg(test)]

@@ -187,7 +187,7 @@ fn named(options: &mut Value, recipe: Value) -> HandlerResult<()> {
 
 /// The body of a request, whose rest is still read for a while when it is dropped before its end: a client that is
 /// still sending would lose the answer when the connection closes under it.
-struct DrainOnDrop(Option<BodyDataStream>);
+pub(super) struct DrainOnDrop(pub(super) Option<BodyDataStream>);
 
 impl Stream for DrainOnDrop {
     type Item = Result<Bytes, axum::Error>;

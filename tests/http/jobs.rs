@@ -191,9 +191,12 @@ fn expired_artifacts_are_gone_and_the_job_stays() {
     let path = server.accepted(&Form::sample());
     let job = server.wait(&path);
     std::thread::sleep(Duration::from_millis(10));
-    let mut response = server.get(artifact(&job, "model.glb")["href"].as_str().unwrap(), &[]);
+    let mut response = server.get(&format!("{path}/artifacts/model.glb"), &[]);
     assert_eq!((response.status().as_u16(), &json(&mut response)["code"]), (410, &json!("gone")));
-    assert_eq!(server.get(&path, &[]).status(), 200);
+    assert!(!job["artifacts"].as_array().unwrap().is_empty());
+    let job = json(&mut server.get(&path, &[]));
+    let model = artifact(&job, "model.glb");
+    assert_eq!((&model["expired"], &model["href"]), (&json!(true), &Value::Null), "marked, and not linked");
 }
 
 #[test]

@@ -24,7 +24,13 @@ fn it_counts_what_it_does_and_compresses_what_it_says() {
     let server = Server::start(data.path(), &[]);
     server.wait(&server.accepted(&Form::sample()));
     server.get("/v1/jobs/none", &[]);
-    let text = String::from_utf8(bytes(&mut server.get("/metrics", &[]))).unwrap();
+    let told = || String::from_utf8(bytes(&mut server.get("/metrics", &[]))).unwrap();
+    // A slot is free a moment after its job has ended.
+    let started = std::time::Instant::now();
+    let mut text = told();
+    while !text.contains("intarsia_jobs_running 0\n") && started.elapsed() < crate::server::PATIENCE {
+        text = told();
+    }
     for line in [
         "intarsia_jobs{state=\"succeeded\"} 1",
         "intarsia_jobs{state=\"queued\"} 0",

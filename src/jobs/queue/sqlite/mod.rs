@@ -89,6 +89,15 @@ impl Sqlite {
         options.clone().create_if_missing(true).connect().await?.close().await?;
         // One connection is always open: where the file is removed under the service, it still has the contents.
         let pool = SqlitePoolOptions::new().max_connections(4).min_connections(1).idle_timeout(None).max_lifetime(None);
+        // A transaction that a full disk has ended leaves its connection between two states: another takes its place.
+        let pool = pool.after_release(|connection, _| {
+            Box::pin(async move {
+                match connection.begin_with("BEGIN").await {
+                    Ok(empty) => Ok(empty.rollback().await.is_ok()),
+                    Err(_) => Ok(false),
+                }
+            })
+        });
         let pool = pool.connect_with(options.clone()).await?;
         migrations::migrate(&pool, path, MIGRATIONS).await?;
         let file = file_id(path).map_err(|e| disk(path, &e))?;
@@ -540,7 +549,10 @@ impl From<sqlx::Error> for Failure {
         let extended = error.as_database_error().and_then(|e| e.code()?.parse::<u32>().ok());
         match (extended.map(|code| code & 0xFF), &error) {
             (Some(13), _) => Failure::new(Code::InsufficientStorage, "the disk of the job queue is full"),
-            (Some(5 | 6), _) | (_, sqlx::Error::PoolTimedOut) => unavailable("the job queue is busy"),
+            (Some(5 | 6), _)
+            | (_, sqlx::Error::PoolTimedOut | sqlx::Error::InvalidSavePointStatement | sqlx::Error::BeginFailed) => {
+                unavailable("the job queue is busy")
+            }
             (Some(8), _) => unavailable("the job queue cannot be written: its file or folder is read-only"),
             (Some(11 | 26), _) => unavailable(DAMAGED),
             (Some(10 | 14), _) | (_, sqlx::Error::Io(_)) => unavailable("the file of the job queue cannot be used"),
