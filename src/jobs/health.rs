@@ -37,12 +37,8 @@ impl Jobs {
         }
     }
 
-    /// Looks at once.
-    pub(super) async fn look_after(&self) {
-        self.look(false).await;
-    }
-
-    async fn look(&self, deep: bool) {
+    /// Looks once; `deep` reads the whole file of the queue.
+    pub(super) async fn look(&self, deep: bool) {
         let found = self.probe(deep).await.err();
         let mut known = self.health.0.lock().unwrap_or_else(PoisonError::into_inner);
         match (&*known, &found) {

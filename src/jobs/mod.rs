@@ -60,7 +60,7 @@ pub struct Jobs {
     /// Seconds that a job takes, the last ones above all.
     seconds: Mutex<f64>,
     health: Health,
-    /// Why nothing may be collected, where the queue does not know the files that are here.
+    /// Whether files are here that the queue does not know because it is new: nothing may be collected.
     foreign: bool,
     min_free: Option<u64>,
     lease: Duration,
@@ -97,7 +97,7 @@ impl Jobs {
             grace: work.grace,
             wake: Notify::new(),
         };
-        jobs.look_after().await;
+        jobs.look(false).await;
         jobs.recover().await?;
         if owned {
             jobs.files.remove_dead_workers();

@@ -20,7 +20,12 @@ impl Files {
         let (marker, stranger) = (self.marker(), self.root().join("identity.new"));
         let mine = read(&marker)?;
         let stored = !self.objects().is_empty() || !self.untouched(std::time::Duration::ZERO).is_empty();
-        let known = mine.as_deref().map_or(!fresh || !stored, |mine| mine == identity);
+        let strange = read(&stranger)?.as_deref() == Some(identity);
+        let known = match mine.as_deref() {
+            Some(mine) => mine == identity || (fresh && !stored),
+            // A store of before there were identities, or an empty one.
+            None => !strange && (!fresh || !stored),
+        };
         if known || adopt {
             if mine.as_deref() != Some(identity) {
                 write(&marker, identity)?;
@@ -29,12 +34,7 @@ impl Files {
             return Ok(true);
         }
         let folder = self.root().display();
-        if fresh && mine.is_some() && !stored {
-            // Nothing is left that could be lost.
-            write(&marker, identity)?;
-            return Ok(true);
-        }
-        if !fresh && mine.is_some() && read(&stranger)?.as_deref() != Some(identity) {
+        if !fresh && !strange {
             let message = format!(
                 "the job queue in {folder} belongs to another data folder, and nothing was changed: put this folder's own queue.sqlite back, \
                  or give up the files that are stored here with --adopt-store"
@@ -161,7 +161,11 @@ mod tests {
     fn files_of_before_there_were_identities_are_kept_as_well() {
         let (_root, files) = with_object();
         assert_eq!(files.own("a", true, false), Ok(false));
-        assert_eq!(files.own("a", true, true), Ok(true));
+        assert_eq!(files.own("a", false, false), Ok(false), "at each start");
+        // The one that knew them comes back.
+        assert_eq!(files.own("b", false, false), Ok(true));
+        assert_eq!(files.own("a", true, false), Ok(false));
+        assert_eq!(files.own("a", false, true), Ok(true));
     }
 
     #[test]

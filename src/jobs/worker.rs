@@ -219,12 +219,23 @@ impl Jobs {
             return;
         }
         let mut end = attempt_end(reporter, computation);
-        let mut published = self.finish(claim, &end).await;
-        if !published && end.state != JobState::Canceled {
-            // The user may have cancelled while the result was being stored: cancelling wins.
-            end = AttemptEnd { state: JobState::Canceled, error: Some(canceled()), artifacts: Vec::new(), ..end };
-            published = self.finish(claim, &end).await;
+        let mut finished = self.finish(claim, &end).await;
+        // The user may have cancelled while the result was being stored: cancelling wins. What the queue cannot hold is a failure of ours.
+        let instead = match finished {
+            Some(false) if end.state != JobState::Canceled => Some((JobState::Canceled, canceled())),
+            None if !self.shutdown.is_cancelled() => {
+                Some((JobState::Failed, Failure::internal("the result cannot be published").into()))
+            }
+            _ => None,
+        };
+        if let Some((state, error)) = instead {
+            end = AttemptEnd { state, error: Some(error), artifacts: Vec::new(), ..end };
+            finished = self.finish(claim, &end).await;
         }
+        let Some(published) = finished else {
+            tracing::warn!("the end of this attempt could not be stored; the job runs again at the next start");
+            return;
+        };
         if published {
             let code = end.error.as_ref().map_or("", |e| e.code.as_str());
             tracing::info!(state = end.state.as_str(), code, seconds = started.elapsed().as_secs_f64(), "job ends");
@@ -245,9 +256,9 @@ impl Jobs {
         }
     }
 
-    async fn finish(&self, claim: &Claim, end: &AttemptEnd) -> bool {
+    async fn finish(&self, claim: &Claim, end: &AttemptEnd) -> Option<bool> {
         let keep = self.limits.keep_artifacts;
-        self.persistently(|| self.queue.finish(claim, end, keep)).await == Some(true)
+        self.persistently(|| self.queue.finish(claim, end, keep)).await
     }
 
     /// Does something with the queue, again and again while the machine is in trouble: a result is expensive. `None` when it fails for
@@ -258,7 +269,7 @@ impl Jobs {
                 Ok(done) => return Some(done),
                 Err(failure) if failure.is_of_the_machine() && !self.shutdown.is_cancelled() => {}
                 Err(failure) => {
-                    tracing::error!(%failure, "the end of this attempt cannot be stored; the job runs again");
+                    tracing::error!(%failure, "the end of this attempt cannot be stored");
                     return None;
                 }
             }

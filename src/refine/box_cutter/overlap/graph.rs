@@ -191,38 +191,38 @@ pub(crate) fn bias_edges(scale: &Scale, charts: &Charts, wanted: &[bool]) -> Vec
 /// Pair tests per face before a chart counts as too crowded to list.
 const TESTS_PER_FACE: usize = 4_000;
 
+/// The overlapping pairs block by block, with whether a block was too crowded to list, until `visit` says false.
+fn pairs_in_blocks(
+    atlas: &Atlas,
+    faces: &[FaceId],
+    context: &Context,
+    mut visit: impl FnMut(Vec<(u32, u32)>, bool) -> bool,
+) -> Result<()> {
+    let visit = |pairs, cut| {
+        context.check()?;
+        Ok(visit(pairs, cut))
+    };
+    overlaps_in_blocks(atlas, faces, (TESTS_PER_FACE, usize::MAX), |_| true, visit)
+}
+
 /// How many pairs of the faces overlap, or `None` when there are more than `limit`.
 pub(crate) fn count_pairs(atlas: &Atlas, faces: &[FaceId], limit: usize, context: &Context) -> Result<Option<usize>> {
     let (mut count, mut complete) = (0, true);
-    overlaps_in_blocks(
-        atlas,
-        faces,
-        (TESTS_PER_FACE, usize::MAX),
-        |_| true,
-        |pairs, cut| {
-            context.check()?;
-            count += pairs.len();
-            complete = !cut && count <= limit;
-            Ok(complete)
-        },
-    )?;
+    pairs_in_blocks(atlas, faces, context, |pairs, cut| {
+        count += pairs.len();
+        complete = !cut && count <= limit;
+        complete
+    })?;
     Ok(complete.then_some(count))
 }
 
 /// The overlapping pairs, as positions in `faces`, sorted.
 pub(crate) fn list_pairs(atlas: &Atlas, faces: &[FaceId], context: &Context) -> Result<Vec<(u32, u32)>> {
     let mut all = Vec::new();
-    overlaps_in_blocks(
-        atlas,
-        faces,
-        (TESTS_PER_FACE, usize::MAX),
-        |_| true,
-        |pairs, cut| {
-            context.check()?;
-            all.extend(pairs);
-            Ok(!cut)
-        },
-    )?;
+    pairs_in_blocks(atlas, faces, context, |pairs, cut| {
+        all.extend(pairs);
+        !cut
+    })?;
     all.par_sort_unstable();
     Ok(all)
 }
