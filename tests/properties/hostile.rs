@@ -107,7 +107,7 @@ fn lying_json() {
     wrong("/accessors/0/byteOffset", json!(u32::MAX), InvalidModel, "/accessors/0", "bufferView has");
     wrong("/bufferViews/0/byteStride", json!(1), InvalidModel, "/accessors/0", "byteStride 1");
     wrong("/bufferViews/0/byteStride", json!(u64::MAX), InvalidModel, "/accessors/0", "apart");
-    wrong("/bufferViews/0/byteLength", json!(-5), InvalidModel, "/bufferViews/0/byteLength", "at or above zero");
+    wrong("/bufferViews/0/byteLength", json!(-5), InvalidModel, "/bufferViews/0/byteLength", "at least 0");
     wrong("/buffers/0/byteLength", json!(1_u64 << 40), InvalidModel, "/buffers/0/byteLength", "declares");
     wrong("/buffers/0/uri", json!("../../etc/passwd"), InvalidModel, "/buffers/0/uri", "leaves the folder");
     wrong("/buffers/0/uri", json!("%2e%2e/secret.bin"), InvalidModel, "/buffers/0/uri", "leaves the folder");
