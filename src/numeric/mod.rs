@@ -4,5 +4,10 @@
 
 pub(crate) mod arap;
 pub(crate) mod cholesky;
+pub(crate) mod dirichlet;
 pub(crate) mod energy;
+pub(crate) mod multifrontal;
+pub(crate) mod newton;
 pub(crate) mod repair;
+pub(crate) mod scaffold;
+pub(crate) mod tutte;

@@ -1,0 +1,497 @@
+//! The search for short seams within a bound on the distortion.
+//!
+//! [`Search::run`] with `paper` is Algorithm 1. Without it, the same operations are used in another order: cut where that pays most until the bound holds
+//! ([`Search::descend`]), close what the bound does not need ([`Search::trim`]), and then again and again open a part of the seams and let both find
+//! a better way ([`Search::ruin`]).
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use super::cut_map::CutMap;
+use super::operations::{Candidate, Operation};
+use super::start::Cost;
+use crate::atlas::{HalfEdge, Mark, UvId};
+use crate::error::Result;
+use crate::numeric::newton::Step;
+use glam::DVec2;
+
+/// How far below the bound the dual aims.
+const SLACK: f64 = 1e-3;
+/// Vertices within so many edges of an operation move in its local steps.
+const RINGS: usize = 6;
+/// Part of the border vertices that are asked for splits, as an exponent (section 5.3).
+const BORDER_PART: f64 = 0.8;
+
+/// A map that was visited.
+#[derive(Debug, Clone)]
+pub(super) struct Visited {
+    pub map: CutMap,
+    pub seam: f64,
+    pub distortion: f64,
+}
+
+/// A state that can be gone back to.
+struct Saved {
+    mark: Mark,
+    x: Vec<DVec2>,
+    borders: Vec<HalfEdge>,
+    distortion: f64,
+}
+
+/// What is known of the operations at a vertex, as long as its star keeps its shape.
+#[derive(Debug, Clone)]
+struct Known {
+    star: Vec<(HalfEdge, f32, f32)>,
+    /// (operation, change of E_s, change of E_d).
+    found: Vec<(Operation, f64, f64)>,
+}
+
+/// The search of one piece.
+pub(super) struct Search<'a> {
+    pub map: CutMap,
+    bound: f64,
+    pub lambda: f64,
+    pub distortion: f64,
+    /// The feasible map of the shortest seams, or the one of least distortion.
+    pub best: Option<Visited>,
+    interrupt: &'a (dyn Fn() -> Result<bool> + Sync),
+    pub interrupted: bool,
+    pub steps: u64,
+    pub local_steps: u64,
+    pub undone: u64,
+    pub queries: u64,
+    pub trace: bool,
+    pub times: [f64; 6],
+    /// Until which round an operation is not to be tried.
+    tabu: BTreeMap<Operation, u64>,
+    round: u64,
+    known: [Vec<Option<Known>>; 2],
+    /// How much estimates are shaken, and by what.
+    noise: (f64, u64),
+    random: u64,
+}
+
+impl<'a> Search<'a> {
+    pub fn new(map: CutMap, bound: f64, seed: u64, interrupt: &'a (dyn Fn() -> Result<bool> + Sync)) -> Self {
+        let distortion = map.distortion();
+        Search {
+            map,
+            bound,
+            lambda: 0.0,
+            distortion,
+            best: None,
+            interrupt,
+            interrupted: false,
+            steps: 0,
+            local_steps: 0,
+            undone: 0,
+            queries: 0,
+            trace: false,
+            times: [0.0; 6],
+            tabu: BTreeMap::new(),
+            round: 0,
+            known: [Vec::new(), Vec::new()],
+            noise: (0.0, 0),
+            random: seed,
+        }
+    }
+
+    fn stop(&mut self) -> Result<bool> {
+        self.interrupted = self.interrupted || (self.interrupt)()?;
+        Ok(self.interrupted)
+    }
+
+    /// Newton steps of the whole map until they gain less than a part of the energy.
+    pub fn relax(&mut self, enough: f64, most: usize) -> Result<()> {
+        let t = std::time::Instant::now();
+        for _ in 0..most {
+            if self.stop()? {
+                break;
+            }
+            self.steps += 1;
+            let Some(step) = self.map.global_step() else { break };
+            let now = self.map.distortion();
+            let gained = self.distortion - now;
+            self.distortion = now;
+            if step.alpha == 0.0 || gained.abs() < enough * now * step.alpha {
+                break;
+            }
+        }
+        self.times[0] += t.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// Relaxes lightly, and well where it decides whether the bound holds.
+    fn settle(&mut self) -> Result<()> {
+        self.relax(1e-4, 2)?;
+        if self.distortion > self.bound && self.distortion < self.bound + SLACK {
+            self.relax(1e-6, 6)?;
+        }
+        Ok(())
+    }
+
+    /// Notes the map if it is the best so far.
+    pub fn visit(&mut self) -> bool {
+        let (seam, distortion) = (self.map.seam_length(), self.distortion);
+        let better = match &self.best {
+            None => true,
+            Some(best) if best.distortion > self.bound => distortion < best.distortion,
+            Some(best) => distortion <= self.bound && seam < best.seam - 1e-9,
+        };
+        if better {
+            let mut map = self.map.clone();
+            map.mesh.forget();
+            self.best = Some(Visited { map, seam, distortion });
+        }
+        better
+    }
+
+    fn save(&mut self) -> Saved {
+        let mark = self.map.mesh.mark();
+        Saved { mark, x: self.map.x.clone(), borders: self.map.borders.clone(), distortion: self.distortion }
+    }
+
+    fn restore(&mut self, saved: &Saved) {
+        self.map.mesh.undo(saved.mark);
+        self.map.x.clone_from(&saved.x);
+        self.map.borders.clone_from(&saved.borders);
+        self.distortion = saved.distortion;
+    }
+
+    /// A number in 0..1 (splitmix64).
+    fn random(&mut self) -> f64 {
+        self.random = self.random.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        mixed(self.random)
+    }
+
+    fn is_free(&self, operation: &Operation) -> bool {
+        self.tabu.get(operation).is_none_or(|until| *until < self.round)
+    }
+
+    /// Border splits, merges and ears, or interior splits: the operations with what each changes.
+    fn operations(&mut self, interior: bool, part: f64) -> Vec<(Operation, f64, f64)> {
+        let t = std::time::Instant::now();
+        let map = &self.map;
+        let mut is_border = vec![false; map.x.len()];
+        map.borders.iter().flat_map(|h| map.mesh.uv_ends(*h)).for_each(|u| is_border[u.index()] = true);
+        let all = (0..map.x.len()).filter(|&u| is_border[u] != interior).map(UvId::new);
+        let vertices: Vec<UvId> = all.filter(|u| map.mesh.corners_of(*u).next().is_some()).collect();
+        let mut ranked: Vec<(Cost, UvId)> = vertices.iter().map(|u| (Cost(-map.deviation(*u)), *u)).collect();
+        ranked.sort_unstable();
+        ranked.truncate((vertices.len() as f64).powf(part).ceil() as usize);
+        let known = &mut self.known[usize::from(interior)];
+        known.resize(map.x.len().max(known.len()), None);
+        let fresh: Vec<(UvId, Option<Known>)> = ranked
+            .par_iter()
+            .map(|&(_, u)| {
+                let star: Vec<(HalfEdge, f32, f32)> = map
+                    .fan(u)
+                    .corners
+                    .iter()
+                    .map(|c| {
+                        let [a, b, c3] = [*c, c.next(), c.previous()].map(|h| map.x[map.mesh.uv_at(h).index()]);
+                        (*c, a.distance(b) as f32, b.distance(c3) as f32)
+                    })
+                    .collect();
+                let same = |k: &Known| {
+                    k.star.len() == star.len()
+                        && k.star.iter().zip(&star).all(|(p, q)| {
+                            p.0 == q.0 && (p.1 - q.1).abs() < 0.02 * q.1 && (p.2 - q.2).abs() < 0.02 * q.2
+                        })
+                };
+                if known[u.index()].as_ref().is_some_and(same) {
+                    return (u, None);
+                }
+                let mut out = Vec::new();
+                if interior { map.interior_splits(u, &mut out) } else { map.boundary_splits(u, &mut out) }
+                let found = out.iter().map(|c| (c.operation, c.seam, c.energy)).collect();
+                (u, Some(Known { star, found }))
+            })
+            .collect();
+        let mut out = Vec::new();
+        for (u, new) in fresh {
+            if let Some(new) = new {
+                self.queries += 1;
+                known[u.index()] = Some(new);
+            }
+            out.extend(known[u.index()].iter().flat_map(|k| k.found.iter().copied()));
+        }
+        if !interior {
+            let light = |c: Candidate| (c.operation, c.seam, c.energy);
+            out.extend(vertices.par_iter().filter_map(|u| map.merge(*u)).map(light).collect::<Vec<_>>());
+            out.extend(map.borders.par_iter().filter_map(|h| map.ear(*h)).map(light).collect::<Vec<_>>());
+        }
+        out.retain(|(operation, ..)| self.is_free(operation));
+        let (by, salt) = self.noise;
+        if by > 0.0 {
+            for (operation, _, energy) in &mut out {
+                *energy *= 1.0 + by * (mixed(salt ^ key(*operation)) - 0.5);
+            }
+        }
+        self.times[1 + usize::from(interior)] += t.elapsed().as_secs_f64();
+        out
+    }
+
+    /// The operation that lowers the Lagrangian most, as things are now.
+    fn seed(&mut self, operations: &[(Operation, f64, f64)]) -> Option<Candidate> {
+        let gain = |o: &(Operation, f64, f64)| Cost(o.1 + self.lambda * o.2);
+        let mut best: Vec<_> = operations.iter().filter(|o| gain(o).0 < 0.0).collect();
+        best.sort_by_key(|o| (gain(o), o.0));
+        let found = best.iter().take(4).filter_map(|o| self.map.query(o.0));
+        found.filter(|c| c.gain(self.lambda) < 0.0).min_by_key(|c| (Cost(c.gain(self.lambda)), c.operation))
+    }
+
+    /// Cuts, and closes what costs more than it is worth, until the bound holds.
+    fn descend(&mut self, most: usize) -> Result<()> {
+        let mut tight = false;
+        let mut part = 0.6;
+        for _ in 0..most {
+            self.round += 1;
+            if self.distortion <= self.bound || self.stop()? {
+                return Ok(());
+            }
+            let border = self.operations(false, BORDER_PART);
+            let mut seed = self.seed(&border);
+            if seed.is_none() {
+                let interior = self.operations(true, part);
+                seed = self.seed(&interior);
+                if seed.is_none() && !tight {
+                    self.relax(1e-5, 10)?;
+                    tight = true;
+                    continue;
+                }
+                if seed.is_none() {
+                    // Nothing pays: the dual rises until something does.
+                    let all: Vec<_> = border.into_iter().chain(interior).collect();
+                    let worth = all.iter().filter(|o| o.2 < 0.0 && o.1 > 0.0).map(|o| o.1 / -o.2);
+                    match worth.min_by_key(|r| Cost(*r)) {
+                        Some(worth) => self.lambda = self.lambda.max(worth) * 1.05,
+                        None if part < 1.0 => part += 0.1,
+                        None => return Ok(()),
+                    }
+                    seed = self.seed(&all);
+                }
+            }
+            tight = false;
+            let Some(seed) = seed else { continue };
+            let operation = seed.operation;
+            let before = self.distortion;
+            self.propagate(seed, None)?;
+            let local = self.distortion;
+            self.settle()?;
+            if self.trace {
+                println!(
+                    "{:4} λ {:8.3} E_d {before:.5} {local:.5} {:.5} E_s {:.4} {operation:?} steps {} {} undone {}",
+                    self.round,
+                    self.lambda,
+                    self.distortion,
+                    self.map.seam_length(),
+                    self.steps,
+                    self.local_steps,
+                    self.undone
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Closes tips of seams and shortens them as long as the bound holds.
+    fn trim(&mut self) -> Result<()> {
+        if self.distortion > self.bound {
+            return Ok(());
+        }
+        self.relax(1e-5, 4)?;
+        let mut failed = 0;
+        let mut refused: std::collections::BTreeSet<Operation> = Default::default();
+        while failed < 4 && !self.stop()? {
+            self.round += 1;
+            let map = &self.map;
+            let mut tips: Vec<UvId> = map.borders.iter().map(|h| map.mesh.uv_at(*h)).collect();
+            tips.sort_unstable();
+            tips.dedup();
+            let mut all: Vec<Candidate> = tips.par_iter().filter_map(|u| map.merge(*u)).collect();
+            all.extend(map.borders.par_iter().filter_map(|h| map.ear(*h)).collect::<Vec<_>>());
+            all.retain(|c| c.seam < 0.0 && !refused.contains(&c.operation));
+            let next = all.into_iter().min_by_key(|c| (Cost(if c.energy <= 0.0 { c.seam - 1e9 } else { c.energy / -c.seam }), c.operation));
+            let Some(next) = next else { break };
+            let operation = next.operation;
+            let saved = self.save();
+            let seam = self.map.seam_length();
+            self.propagate(next, Some(0))?;
+            if self.distortion > self.bound {
+                self.settle()?;
+            }
+            if self.distortion > self.bound || self.map.seam_length() >= seam {
+                self.restore(&saved);
+                refused.insert(operation);
+                failed += 1;
+            } else {
+                failed = 0;
+            }
+        }
+        Ok(())
+    }
+
+    /// Opens a part of the seams: closes a random tip for some edges.
+    fn ruin(&mut self) -> Result<()> {
+        let map = &self.map;
+        let mut tips: Vec<UvId> = map.borders.iter().map(|h| map.mesh.uv_at(*h)).collect();
+        tips.sort_unstable();
+        tips.dedup();
+        tips.retain(|u| map.merge(*u).is_some());
+        if tips.is_empty() {
+            return Ok(());
+        }
+        let pick = (self.random() * tips.len() as f64) as usize;
+        let most = 2 + (self.random().powi(2) * (self.map.borders.len() as f64 / 4.0)) as usize;
+        if let Some(merge) = self.map.merge(tips[pick.min(tips.len() - 1)]) {
+            self.propagate(merge, Some(most))?;
+        }
+        self.settle()
+    }
+
+    /// The whole search; `self.map` must be a valid map. `trials`: how often the seams are opened again.
+    pub fn run(&mut self, trials: usize) -> Result<&'static str> {
+        self.relax(1e-4, 100)?;
+        self.visit();
+        self.lambda = (self.distortion - self.bound).max(0.0);
+        self.descend(10_000)?;
+        if self.trace {
+            println!("descended E_d {:.5} E_s {:.4} steps {}", self.distortion, self.map.seam_length(), self.steps);
+        }
+        self.trim()?;
+        self.visit();
+        if self.trace {
+            println!("trimmed E_d {:.5} E_s {:.4} steps {}", self.distortion, self.map.seam_length(), self.steps);
+        }
+        let lambda = self.lambda;
+        let mut current = self.map.seam_length();
+        for trial in 0..trials {
+            if self.stop()? {
+                return Ok("time_limit");
+            }
+            let saved = self.save();
+            self.ruin()?;
+            self.noise = (0.5, mixed_bits(self.random ^ trial as u64));
+            self.lambda = lambda * (0.2 + 0.8 * self.random());
+            self.descend(40)?;
+            self.noise = (0.0, 0);
+            self.trim()?;
+            let seam = self.map.seam_length();
+            if self.trace {
+                println!("trial {trial} E_d {:.5} E_s {:.4} of {current:.4} steps {}", self.distortion, seam, self.steps);
+            }
+            if self.distortion <= self.bound && seam <= current {
+                current = seam;
+                self.visit();
+            } else {
+                self.restore(&saved);
+            }
+        }
+        Ok("done")
+    }
+
+    /// Carries an operation on as long as that pays, in turn with steps of the positions about it (section 5.4). With `most`, whether it pays
+    /// or not for so many times more.
+    fn propagate(&mut self, seed: Candidate, most: Option<usize>) -> Result<()> {
+        let t = std::time::Instant::now();
+        let mut next = Some(seed);
+        let mut active: Vec<UvId> = Vec::new();
+        let mut tails = Vec::new();
+        let mut operation = Operation::Merge(HalfEdge(0));
+        let mut forced = most.unwrap_or(0);
+        for _ in 0..200 {
+            if self.stop()? {
+                break;
+            }
+            let applied = next.is_some();
+            if std::env::var("CHECK").is_ok() && !self.map.is_clear() {
+                println!("not clear: {operation:?} applied before {applied} round {}", self.round);
+                std::process::exit(1);
+            }
+            let step = match next.take() {
+                Some(candidate) => {
+                    operation = candidate.operation;
+                    self.carry_out(&candidate, &mut active, &mut tails)
+                }
+                None => self.local_step(&active),
+            };
+            let Some(step) = step else { break };
+            let gained = step.before - step.after;
+            let ways = self.map.continued(operation, &tails);
+            if most.is_some() {
+                if forced > 0 {
+                    next = ways.into_iter().min_by_key(|c| (Cost(c.energy), c.operation));
+                    forced -= 1;
+                }
+            } else {
+                let delta = -self.lambda * gained;
+                let best = ways.into_iter().filter(|c| self.is_free(&c.operation)).min_by_key(|c| (Cost(c.gain(self.lambda)), c.operation));
+                next = best.filter(|c| c.gain(self.lambda) < delta.min(0.0));
+            }
+            if next.is_none() && (step.alpha == 0.0 || (!applied && gained < 1e-4 * step.alpha.max(1e-3) * step.before.max(1e-3))) {
+                break;
+            }
+        }
+        self.distortion = self.map.distortion();
+        self.times[3] += t.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// Applies an operation and takes a step about it. Where something would lie on something else, the new vertices are put closer to where they were; where that
+    /// does not help, nothing is changed.
+    fn carry_out(&mut self, candidate: &Candidate, active: &mut Vec<UvId>, tails: &mut Vec<UvId>) -> Option<Step> {
+        let parts: &[f64] = if matches!(candidate.operation, Operation::Merge(_) | Operation::Ear(_)) { &[1.0] } else { &[1.0, 0.2, 0.03] };
+        for part in parts {
+            let (mark, x, borders) = (self.map.mesh.mark(), self.map.x.clone(), self.map.borders.clone());
+            let mut placed = candidate.clone();
+            for (corner, at) in &mut placed.places {
+                *at = x[self.map.mesh.uv_at(*corner).index()].lerp(*at, *part);
+            }
+            let ends = self.map.apply(&placed);
+            let n = active.len();
+            active.extend(candidate.places.iter().map(|(c, _)| self.map.mesh.uv_at(*c)));
+            if candidate.places.is_empty() {
+                active.extend(&ends);
+            }
+            if let Some(step) = self.local_step(active) {
+                *tails = ends;
+                return Some(step);
+            }
+            active.truncate(n);
+            self.map.mesh.undo(mark);
+            self.map.x = x;
+            self.map.borders = borders;
+        }
+        self.tabu.insert(candidate.operation, self.round + 40);
+        self.undone += 1;
+        None
+    }
+
+    fn local_step(&mut self, active: &[UvId]) -> Option<Step> {
+        self.local_steps += 1;
+        self.map.local_step(active, RINGS)
+    }
+}
+
+fn mixed_bits(x: u64) -> u64 {
+    let z = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+/// In 0..1.
+fn mixed(x: u64) -> f64 {
+    (mixed_bits(x) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+fn key(operation: Operation) -> u64 {
+    let (kind, a, b) = match operation {
+        Operation::BoundarySplit(h) => (1, h.0, 0),
+        Operation::InteriorSplit(a, b) => (2, a.0, b.0),
+        Operation::Merge(h) => (3, h.0, 0),
+        Operation::Ear(h) => (4, h.0, 0),
+    };
+    (kind << 60) ^ (u64::from(a) << 30) ^ u64::from(b)
+}

@@ -1,0 +1,280 @@
+//! A first map of a surface of any topology (section 6.2): cut open until it is a disk with holes, then Tutte's embedding.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+
+use glam::DVec2;
+
+use super::cut_map::CutMap;
+use crate::atlas::{Charts, HalfEdge, Loops, UvId};
+use crate::numeric::tutte;
+
+/// Above this E_d a map is not worth to be improved: it is cut once more instead.
+fn hopeless() -> f64 { std::env::var("HOPELESS").ok().map_or(200.0, |v| v.parse().unwrap()) }
+
+/// A cost that can be ordered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Cost(pub f64);
+impl Eq for Cost {}
+impl PartialOrd for Cost {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Cost {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.0.total_cmp(&other.0)
+    }
+}
+
+/// Cuts the surface open where it must be, and embeds it. `None` where it cannot be embedded.
+pub(super) fn embed(map: &mut CutMap) -> Option<()> {
+    cut_handles(map);
+    if map.borders.is_empty() {
+        cut_closed(map)?;
+    }
+    for round in 0..200 {
+        if tutte(map).is_some() {
+            let distortion = map.distortion();
+            if distortion < hopeless() || (round >= 100 && distortion.is_finite()) {
+                return Some(());
+            }
+        }
+        let extremum = extremum(map)?;
+        let path = path_to_border(map, extremum)?;
+        cut(map, &path);
+    }
+    None
+}
+
+/// Cuts along edges, leaving positions as they are.
+pub(super) fn cut(map: &mut CutMap, path: &[HalfEdge]) {
+    map.mesh.cut(path);
+    let uv = &map.mesh.atlas().uv;
+    map.x.extend(uv[map.x.len()..].iter());
+    map.find_borders();
+}
+
+/// Two edges in a row, as straight as they come.
+fn cut_closed(map: &mut CutMap) -> Option<()> {
+    let corner = HalfEdge(0);
+    let fan = map.fan(map.mesh.uv_at(corner)).corners;
+    let opposite = fan[fan.len() / 2];
+    if fan.len() < 3 {
+        return None;
+    }
+    cut(map, &[fan[0], opposite]);
+    Some(())
+}
+
+/// Loops about the handles, short ones.
+fn cut_handles(map: &mut CutMap) {
+    let topology = map.mesh.topology();
+    let charts = Charts::new(topology);
+    let loops = Loops::new(topology, &charts);
+    let n = map.x.len() as i64;
+    let faces = map.rest.len() as i64;
+    let edges = (3 * faces + map.borders.len() as i64) / 2;
+    let genus = (2 - loops.half_edges.len() as i64 - (n - edges + faces)) / 2;
+    if genus <= 0 || charts.len() != 1 {
+        return;
+    }
+    // From each of some base points.
+    let tries = 24.min(n);
+    let best = (0..tries)
+        .map(|k| (k * n / tries) as u32)
+        .map(|base| {
+            let cut = cut_graph(map, UvId(base));
+            (Cost(cut.iter().map(|h| map.cost[h.index()]).sum()), cut)
+        })
+        .min_by_key(|(cost, _)| *cost);
+    if let Some((_, path)) = best {
+        cut(map, &path);
+    }
+}
+
+/// The greedy system of loops through a base point (Erickson and Whittlesey 2005), and without the tails that no loop needs: edges whose removal leaves
+/// a surface without handles in one part.
+fn cut_graph(map: &CutMap, base: UvId) -> Vec<HalfEdge> {
+    let (distance, towards) = distances(map, base);
+    let topology = map.mesh.topology();
+    let edge = |h: HalfEdge| topology.uv_twin(h).map_or(h, |t| h.min(t));
+    let in_tree: std::collections::BTreeSet<HalfEdge> = towards.iter().flatten().map(|h| edge(*h)).collect();
+    // Largest loops are crossed first by the tree of faces.
+    let mut crossing: Vec<(Cost, HalfEdge)> = topology
+        .half_edges()
+        .filter(|h| edge(*h) == *h && topology.uv_twin(*h).is_some() && !in_tree.contains(h))
+        .map(|h| {
+            let [a, b] = map.mesh.uv_ends(h).map(|u| distance[u.index()]);
+            (Cost(-(a + b + map.cost[h.index()])), h)
+        })
+        .collect();
+    crossing.sort_unstable();
+    let mut parts = crate::atlas::groups::DisjointSets::new(map.rest.len() + 1);
+    // All borders are one face outside.
+    let outside = map.rest.len() as u32;
+    let mut first = true;
+    let mut left = Vec::new();
+    for h in &map.borders {
+        // One border closes the outside; the others are holes, which the cut need not reach.
+        if std::mem::take(&mut first) {
+            parts.unite(outside, h.face().0);
+        }
+    }
+    for (_, h) in crossing {
+        let (f, g) = (h.face().0, topology.uv_twin(h).map_or(h.face().0, |t| t.face().0));
+        if parts.find(f) == parts.find(g) {
+            left.push(h);
+        } else {
+            parts.unite(f, g);
+        }
+    }
+    let mut graph: std::collections::BTreeSet<HalfEdge> = left.iter().copied().collect();
+    for h in &left {
+        for mut u in map.mesh.uv_ends(*h) {
+            while let Some(next) = towards[u.index()] {
+                if !graph.insert(edge(next)) {
+                    break;
+                }
+                u = map.end(next);
+            }
+        }
+    }
+    // Tails: edges with an end of degree one.
+    let mut degree: BTreeMap<UvId, u32> = BTreeMap::new();
+    graph.iter().flat_map(|h| map.mesh.uv_ends(*h)).for_each(|u| *degree.entry(u).or_default() += 1);
+    loop {
+        let loose: Vec<HalfEdge> =
+            graph.iter().copied().filter(|h| map.mesh.uv_ends(*h).iter().any(|u| degree[u] == 1)).collect();
+        if loose.is_empty() {
+            break;
+        }
+        for h in loose {
+            graph.remove(&h);
+            for u in map.mesh.uv_ends(h) {
+                degree.entry(u).and_modify(|d| *d -= 1);
+            }
+        }
+    }
+    graph.into_iter().collect()
+}
+
+/// Distances along edges from a vertex, and by vertex the half edge that leaves it towards there.
+fn distances(map: &CutMap, from: UvId) -> (Vec<f64>, Vec<Option<HalfEdge>>) {
+    let mut distance = vec![f64::INFINITY; map.x.len()];
+    let mut towards = vec![None; map.x.len()];
+    let mut heap = BinaryHeap::from([Reverse((Cost(0.0), from.0))]);
+    distance[from.index()] = 0.0;
+    while let Some(Reverse((Cost(d), u))) = heap.pop() {
+        if d > distance[u as usize] {
+            continue;
+        }
+        for corner in map.mesh.corners_of(UvId(u)) {
+            for h in [corner, corner.previous()] {
+                let Some(twin) = map.mesh.topology().uv_twin(h) else { continue };
+                // The one that ends here.
+                let back = if h == corner { twin } else { h };
+                let v = map.mesh.uv_at(back);
+                let to = d + map.cost[h.index()];
+                if to < distance[v.index()] {
+                    distance[v.index()] = to;
+                    towards[v.index()] = Some(back);
+                    heap.push(Reverse((Cost(to), v.0)));
+                }
+            }
+        }
+    }
+    (distance, towards)
+}
+
+/// The shortest path of interior edges from a vertex to the border, from the border on: half edges, each leaving the vertex at which the one before ends.
+pub(super) fn path_to_border(map: &CutMap, from: UvId) -> Option<Vec<HalfEdge>> {
+    let (distance, towards) = distances(map, from);
+    let mut is_border = vec![false; map.x.len()];
+    map.borders.iter().flat_map(|h| map.mesh.uv_ends(*h)).for_each(|u| is_border[u.index()] = true);
+    let end = (0..map.x.len()).filter(|u| is_border[*u] && distance[*u].is_finite()).min_by_key(|u| (Cost(distance[*u]), *u))?;
+    let mut path = Vec::new();
+    let mut at = UvId::new(end);
+    while let Some(h) = towards[at.index()] {
+        if !path.is_empty() && is_border[at.index()] {
+            // It touches the border on its way: only the part beyond is needed.
+            path.clear();
+        }
+        path.push(h);
+        at = map.end(h);
+    }
+    (!path.is_empty()).then_some(path)
+}
+
+/// The interior vertex about which the map is worst: the extremum of Gu et al. (2002).
+pub(super) fn extremum(map: &CutMap) -> Option<UvId> {
+    let mut worst: Vec<f64> = vec![0.0; map.x.len()];
+    let mut area = vec![0.0; map.x.len()];
+    for face in map.mesh.atlas().faces() {
+        let rest = &map.rest[face.index()];
+        let energy = rest.energy(map.triangle(face)).min(1e300);
+        for u in map.mesh.atlas().corners[face.index()] {
+            worst[u.index()] += energy;
+            area[u.index()] += rest.weight;
+        }
+    }
+    map.borders.iter().flat_map(|h| map.mesh.uv_ends(*h)).for_each(|u| worst[u.index()] = 0.0);
+    (0..map.x.len())
+        .filter(|u| worst[*u] > 0.0)
+        .max_by_key(|u| (Cost(worst[*u] / area[*u]), Reverse(*u)))
+        .map(UvId::new)
+}
+
+/// Tutte's embedding with the longest loop on a circle; the others are filled by a vertex each.
+fn tutte(map: &mut CutMap) -> Option<()> {
+    let topology = map.mesh.topology();
+    let charts = Charts::new(topology);
+    let loops = Loops::new(topology, &charts);
+    let length = |l: &Vec<HalfEdge>| l.iter().map(|h| edge_length(map, *h)).sum::<f64>();
+    let longest = (0..loops.half_edges.len()).max_by_key(|k| (Cost(length(&loops.half_edges[*k])), Reverse(*k)))?;
+    let n = map.x.len();
+    let mut x = vec![DVec2::ZERO; n + loops.half_edges.len()];
+    let mut held = vec![false; x.len()];
+    // Vertices that no face uses hang on nothing.
+    held[..n].fill(true);
+    map.mesh.atlas().corners.iter().flatten().for_each(|u| held[u.index()] = false);
+    let mut edges = Vec::new();
+    for h in topology.half_edges().filter(|h| topology.uv_twin(*h).is_none_or(|t| t > *h)) {
+        edges.push(map.mesh.uv_ends(h).map(|u| u.0));
+    }
+    for (k, own) in loops.half_edges.iter().enumerate() {
+        if k == longest {
+            held[n + k] = true;
+            let lengths: Vec<f64> = own.iter().map(|h| edge_length(map, *h)).collect();
+            for (h, at) in own.iter().zip(tutte::on_circle(&lengths, 1.0)) {
+                let u = map.mesh.uv_at(*h).index();
+                x[u] = at;
+                held[u] = true;
+            }
+        } else {
+            edges.extend(own.iter().map(|h| [map.mesh.uv_at(*h).0, (n + k) as u32]));
+        }
+    }
+    let guide = guide(map, x.len());
+    tutte::embed(&mut x, &held, &edges, &guide)?;
+    // The void about a hole is not the void outside: its middle is dropped.
+    x.truncate(n);
+    map.x = x;
+    map.mesh.atlas().faces().all(|f| map.rest[f.index()].energy(map.triangle(f)).is_finite()).then_some(())
+}
+
+fn edge_length(map: &CutMap, h: HalfEdge) -> f64 {
+    let [a, b] = map.mesh.surface_ends(h).map(|v| map.mesh.atlas().surface.positions[v.index()]);
+    a.distance(b)
+}
+
+/// A picture of the surface that halves it well: its two longest extents.
+fn guide(map: &CutMap, n: usize) -> Vec<DVec2> {
+    let mut guide = vec![DVec2::ZERO; n];
+    for corner in map.mesh.topology().half_edges() {
+        let p = map.mesh.atlas().surface.positions[map.mesh.vertex_at(corner).index()];
+        guide[map.mesh.uv_at(corner).index()] = DVec2::new(p.x + 0.37 * p.z, p.y - 0.29 * p.z);
+    }
+    guide
+}
+
