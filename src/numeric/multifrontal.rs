@@ -47,11 +47,17 @@ pub(crate) struct Structure {
     elements: Vec<(u32, [u32; 3])>,
 }
 
-/// The factor of a mesh's Hessian.
+/// The factor of a mesh's Hessian, and the room in which it was made: one that is used again allocates nothing.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Factor {
-    /// By front: the columns of its own unknowns, column-major.
-    panels: Vec<Vec<f64>>,
+    /// The columns of the own unknowns of each front, column-major, one front after the other.
+    panels: Vec<f64>,
+    /// By front: what it left over for its parent.
+    updates: Vec<Vec<f64>>,
+    /// By front: children whose updates wait.
+    waiting: Vec<Vec<u32>>,
+    spare: Vec<Vec<f64>>,
+    dense: Vec<f64>,
 }
 
 impl Structure {
@@ -107,51 +113,53 @@ impl Structure {
     }
 
     /// Factors the sum of the elements' matrices: `element` gives the blocks of one as [`super::dirichlet::RestTriangle::projected_hessian`] does.
-    /// `ridge` is added to the diagonal. `None` where the sum is not positive definite.
-    pub fn factor(&self, ridge: f64, element: impl Fn(u32) -> [DMat2; 6]) -> Option<Factor> {
-        let mut panels = Vec::with_capacity(self.fronts.len());
-        let mut updates: Vec<Vec<f64>> = vec![Vec::new(); self.fronts.len()];
-        let mut waiting: Vec<Vec<u32>> = vec![Vec::new(); self.fronts.len()];
-        let mut spare: Vec<Vec<f64>> = Vec::new();
+    /// `ridge` is added to the diagonal. False where the sum is not positive definite; the factor is of no use then.
+    pub fn factor(&self, ridge: f64, element: impl Fn(u32) -> [DMat2; 6], factor: &mut Factor) -> bool {
+        let Factor { panels, updates, waiting, spare, dense } = factor;
+        panels.clear();
+        spare.extend(updates.drain(..).filter(|u| u.capacity() > 0));
+        updates.resize_with(self.fronts.len(), Vec::new);
+        waiting.iter_mut().for_each(Vec::clear);
+        waiting.resize_with(self.fronts.len(), Vec::new);
         for (f, front) in self.fronts.iter().enumerate() {
             let (n, own) = (2 * front.rows(), 2 * front.own as usize);
-            let mut dense = spare.pop().unwrap_or_default();
             dense.clear();
             dense.resize(n * n, 0.0);
             (0..own).for_each(|k| dense[k * n + k] = ridge);
             for (e, rows) in &self.elements[front.elements.clone()] {
-                add_element(&mut dense, n, rows, &element(*e));
+                add_element(dense, n, rows, &element(*e));
             }
             for &child in &waiting[f] {
                 let update = std::mem::take(&mut updates[child as usize]);
-                add_update(&mut dense, n, &update, &self.fronts[child as usize].in_parent);
+                add_update(dense, n, &update, &self.fronts[child as usize].in_parent);
                 spare.push(update);
             }
-            if !eliminate(&mut dense, n, own) {
-                return None;
+            if !eliminate(dense, n, own) {
+                return false;
             }
-            panels.push(dense[..n * own].to_vec());
+            panels.extend_from_slice(&dense[..n * own]);
             if front.parent != FIXED {
-                let m = n - own;
                 let mut update = spare.pop().unwrap_or_default();
                 update.clear();
-                for k in 0..m {
-                    update.extend_from_slice(&dense[(own + k) * n + own..(own + k + 1) * n]);
+                for k in own..n {
+                    update.extend_from_slice(&dense[k * n + own..(k + 1) * n]);
                 }
                 updates[f] = update;
                 waiting[front.parent as usize].push(f as u32);
             }
-            spare.push(dense);
         }
-        Some(Factor { panels })
+        true
     }
 
     /// Solves with a factor of this structure, in place.
     pub fn solve(&self, factor: &Factor, b: &mut [DVec2]) {
         let mut x: Vec<f64> = self.order.iter().flat_map(|&v| b[v as usize].to_array()).collect();
         let mut local: Vec<f64> = Vec::new();
-        for (front, panel) in self.fronts.iter().zip(&factor.panels) {
+        let mut from = 0;
+        for front in &self.fronts {
             let (n, own, start) = (2 * front.rows(), 2 * front.own as usize, 2 * front.start as usize);
+            let panel = &factor.panels[from..from + n * own];
+            from += n * own;
             local.clear();
             local.resize(n - own, 0.0);
             let (head, _) = x.split_at_mut(start + own);
@@ -172,8 +180,10 @@ impl Structure {
                 x[2 * p as usize + 1] -= pair[1];
             }
         }
-        for (front, panel) in self.fronts.iter().zip(&factor.panels).rev() {
+        for front in self.fronts.iter().rev() {
             let (n, own, start) = (2 * front.rows(), 2 * front.own as usize, 2 * front.start as usize);
+            from -= n * own;
+            let panel = &factor.panels[from..from + n * own];
             local.clear();
             local.extend(front.rest.iter().flat_map(|&p| [x[2 * p as usize], x[2 * p as usize + 1]]));
             for k in (0..own).rev() {
@@ -233,8 +243,24 @@ fn add_update(dense: &mut [f64], n: usize, update: &[f64], rows: &[u32]) {
 /// Columns that are eliminated together.
 const BLOCK: usize = 4;
 
-/// Eliminates the first `own` of `n` columns of a lower triangle, column-major; the rest becomes the Schur complement. False where a pivot is not positive.
+/// [`eliminate_with`] in the widest registers that the processor has.
 fn eliminate(dense: &mut [f64], n: usize, own: usize) -> bool {
+    #[cfg(target_arch = "x86_64")]
+    if n > 16 && std::arch::is_x86_feature_detected!("avx2") {
+        #[target_feature(enable = "avx2")]
+        fn wide(dense: &mut [f64], n: usize, own: usize) -> bool {
+            eliminate_with(dense, n, own)
+        }
+        // SAFETY: the processor has what the function is compiled for.
+        #[allow(unsafe_code)]
+        return unsafe { wide(dense, n, own) };
+    }
+    eliminate_with(dense, n, own)
+}
+
+/// Eliminates the first `own` of `n` columns of a lower triangle, column-major; the rest becomes the Schur complement. False where a pivot is not positive.
+#[inline(always)]
+fn eliminate_with(dense: &mut [f64], n: usize, own: usize) -> bool {
     let mut done = 0;
     while done < own {
         let block = BLOCK.min(own - done);
@@ -275,6 +301,7 @@ fn eliminate(dense: &mut [f64], n: usize, own: usize) -> bool {
 }
 
 /// `target -= sum of columns, each times its first entry`.
+#[inline(always)]
 fn subtract(target: &mut [f64], [a, b, c, d]: [&[f64]; BLOCK]) {
     let n = target.len();
     let (a, b, c, d) = (&a[..n], &b[..n], &c[..n], &d[..n]);
@@ -376,7 +403,8 @@ mod tests {
                 triangles.iter().map(|t| rest(t).projected_hessian(t.map(|v| 1.1 * points[v as usize]))).collect();
             triangles.iter_mut().for_each(|t| *t = t.map(hold));
             let structure = Structure::new(&points, &triangles);
-            let factor = structure.factor(0.01, |e| blocks[e as usize]).expect("positive definite");
+            let mut factor = Factor::default();
+            assert!(structure.factor(0.01, |e| blocks[e as usize], &mut factor));
             let expected: Vec<DVec2> = points.iter().map(|_| rng.point(2.0) - DVec2::ONE).collect();
             let mut b: Vec<DVec2> = expected.iter().map(|x| 0.01 * *x).collect();
             for (t, blocks) in triangles.iter().zip(&blocks) {
@@ -398,6 +426,6 @@ mod tests {
     #[test]
     fn what_is_not_positive_definite_is_refused() {
         let structure = Structure::new(&[DVec2::ZERO, DVec2::X, DVec2::Y], &[[0, 1, 2]]);
-        assert!(structure.factor(-1.0, |_| [DMat2::ZERO; 6]).is_none());
+        assert!(!structure.factor(-1.0, |_| [DMat2::ZERO; 6], &mut Factor::default()));
     }
 }

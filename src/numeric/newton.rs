@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::dirichlet::{RestTriangle, step_bound};
-use super::multifrontal::{FIXED, Structure};
+use super::multifrontal::{FIXED, Factor, Structure};
 
 /// A triangle whose deformation costs energy.
 #[derive(Debug, Clone, Copy)]
@@ -45,6 +45,7 @@ const RIDGE: f64 = 1e-8;
 pub(crate) struct Workspace {
     /// Place among the free vertices, by vertex.
     place: Vec<u32>,
+    factor: Factor,
 }
 
 /// The sum of the elements' energies.
@@ -55,7 +56,7 @@ pub(crate) fn energy(x: &[DVec2], elements: &[Element]) -> f64 {
 /// One step that moves the `free` vertices of `x`. All elements must be injective before, and stay so. `None` where the
 /// energy is not finite.
 pub(crate) fn step(x: &mut [DVec2], elements: &[Element], free: &[u32], workspace: &mut Workspace) -> Option<Step> {
-    let place = &mut workspace.place;
+    let Workspace { place, factor } = workspace;
     place.resize(x.len().max(place.len()), FIXED);
     free.iter().enumerate().for_each(|(k, &v)| place[v as usize] = k as u32);
     let triangles: Vec<[u32; 3]> = elements.iter().map(|e| e.corners.map(|v| place[v as usize])).collect();
@@ -81,17 +82,14 @@ pub(crate) fn step(x: &mut [DVec2], elements: &[Element], free: &[u32], workspac
     let structure = Structure::new(&at, &triangles);
     let mean = elements.iter().map(|e| e.rest.weight).sum::<f64>() / elements.len().max(1) as f64;
     let mut ridge = RIDGE * mean;
-    let factor = loop {
-        let hessian = |e: u32| elements[e as usize].rest.projected_hessian(elements[e as usize].at(x));
-        if let Some(factor) = structure.factor(ridge, hessian) {
-            break factor;
-        }
+    let hessian = |e: u32| elements[e as usize].rest.projected_hessian(elements[e as usize].at(x));
+    while !structure.factor(ridge, hessian, factor) {
         ridge *= 100.0;
-        if !ridge.is_finite() || ridge > 1e9 {
+        if !(ridge < 1e9) {
             return None;
         }
-    };
-    structure.solve(&factor, &mut p);
+    }
+    structure.solve(factor, &mut p);
 
     let slope: f64 = -downhill.iter().zip(&p).map(|(g, p)| g.dot(*p)).sum::<f64>();
     let direction = |place: u32| if place == FIXED { DVec2::ZERO } else { p[place as usize] };

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use glam::{DMat2, DVec2};
 
-use super::multifrontal::{FIXED, Structure};
+use super::multifrontal::{FIXED, Factor, Structure};
 
 /// Places on the circle about the origin with that radius for the vertices of a loop, by the lengths of the edges that leave them.
 pub(crate) fn on_circle(lengths: &[f64], radius: f64) -> Vec<DVec2> {
@@ -36,7 +36,10 @@ pub(crate) fn embed(x: &mut [DVec2], held: &[bool], edges: &[[u32; 2]], guide: &
     let springs: Vec<[u32; 3]> = edges.iter().map(|[p, q]| [place[*p as usize], place[*q as usize], FIXED]).collect();
     let one = DMat2::IDENTITY;
     let structure = Structure::new(&at, &springs);
-    let factor = structure.factor(0.0, |_| [one, -one, one, DMat2::ZERO, DMat2::ZERO, DMat2::ZERO])?;
+    let mut factor = Factor::default();
+    if !structure.factor(0.0, |_| [one, -one, one, DMat2::ZERO, DMat2::ZERO, DMat2::ZERO], &mut factor) {
+        return None;
+    }
     structure.solve(&factor, &mut b);
     free.iter().zip(b).for_each(|(&v, at)| x[v as usize] = at);
     Some(())

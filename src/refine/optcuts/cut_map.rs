@@ -25,16 +25,59 @@ pub(super) struct CutMap {
     pub borders: Vec<HalfEdge>,
     /// Whether the void is triangulated.
     pub bijective: bool,
-    workspace: WorkspaceOf,
+    workspace: Room<Workspace>,
+    marks: Room<Marks>,
 }
 
-/// The workspace is no part of the value.
+/// Room to work in, which is no part of the value: a copy has its own.
 #[derive(Debug, Default)]
-struct WorkspaceOf(Workspace);
+struct Room<T>(T);
 
-impl Clone for WorkspaceOf {
+impl<T: Default> Clone for Room<T> {
     fn clone(&self) -> Self {
         Self::default()
+    }
+}
+
+impl<T> std::ops::Deref for Room<T> {
+    type Target = T;
+    fn deref(&self) -> &T {
+        &self.0
+    }
+}
+
+impl<T> std::ops::DerefMut for Room<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        &mut self.0
+    }
+}
+
+/// Vertices and faces that were reached in the current round.
+#[derive(Debug, Default)]
+struct Marks {
+    round: u32,
+    vertices: Vec<u32>,
+    faces: Vec<u32>,
+}
+
+impl Marks {
+    fn next(&mut self, vertices: usize, faces: usize) {
+        self.round += 1;
+        self.vertices.resize(vertices.max(self.vertices.len()), 0);
+        self.faces.resize(faces.max(self.faces.len()), 0);
+    }
+
+    /// Marks a vertex; false where it was.
+    fn vertex(&mut self, u: u32) -> bool {
+        std::mem::replace(&mut self.vertices[u as usize], self.round) != self.round
+    }
+
+    fn face(&mut self, f: FaceId) -> bool {
+        std::mem::replace(&mut self.faces[f.index()], self.round) != self.round
+    }
+
+    fn has_face(&self, f: FaceId) -> bool {
+        self.faces[f.index()] == self.round
     }
 }
 
@@ -61,7 +104,7 @@ impl CutMap {
         });
         let cost = cost.collect();
         let x = mesh.atlas().uv.clone();
-        let mut map = CutMap { mesh, x, rest, cost, borders: Vec::new(), bijective, workspace: WorkspaceOf::default() };
+        let mut map = CutMap { mesh, x, rest, cost, borders: Vec::new(), bijective, workspace: Room::default(), marks: Room::default() };
         map.find_borders();
         Some(map)
     }
@@ -143,7 +186,7 @@ impl CutMap {
         // Nothing else holds it.
         free.remove(0);
         elements.shrink_to_fit();
-        newton::step(&mut self.x, &elements, &free, &mut self.workspace.0)
+        newton::step(&mut self.x, &elements, &free, &mut self.workspace)
     }
 
     /// Whether the borders cross nowhere.
@@ -154,36 +197,37 @@ impl CutMap {
 
     /// One Newton step of the vertices within `rings` edges of some.
     pub fn local_step(&mut self, about: &[UvId], rings: usize) -> Option<newton::Step> {
-        let mut reached = vec![0u32; 0];
-        let mut mark = std::collections::BTreeSet::new();
-        for u in about {
-            if mark.insert(u.0) {
-                reached.push(u.0);
-            }
-        }
+        self.marks.next(self.x.len(), self.rest.len());
+        let mut reached: Vec<u32> = about.iter().map(|u| u.0).filter(|u| self.marks.vertex(*u)).collect();
         let mut from = 0;
         for _ in 0..rings {
             let to = reached.len();
-            for k in from..to {
+            for k in std::mem::replace(&mut from, to)..to {
                 for c in self.mesh.corners_of(UvId(reached[k])) {
                     for u in [self.mesh.uv_at(c.next()), self.mesh.uv_at(c.previous())] {
-                        if mark.insert(u.0) {
+                        if self.marks.vertex(u.0) {
                             reached.push(u.0);
                         }
                     }
                 }
             }
-            from = to;
         }
         if reached.len() * 3 > self.x.len() * 2 {
             return self.global_step();
         }
         reached.sort_unstable();
-        let faces: std::collections::BTreeSet<FaceId> =
-            reached.iter().flat_map(|&u| self.mesh.corners_of(UvId(u))).map(HalfEdge::face).collect();
+        let mut faces: Vec<FaceId> = Vec::with_capacity(3 * reached.len());
+        for &u in &reached {
+            for c in self.mesh.corners_of(UvId(u)) {
+                if self.marks.face(c.face()) {
+                    faces.push(c.face());
+                }
+            }
+        }
+        faces.sort_unstable();
         let elements: Vec<Element> = faces.iter().map(|f| self.element(*f)).collect();
         if !self.bijective {
-            return newton::step(&mut self.x, &elements, &reached, &mut self.workspace.0);
+            return newton::step(&mut self.x, &elements, &reached, &mut self.workspace);
         }
         let topology = self.mesh.topology();
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
@@ -199,16 +243,16 @@ impl CutMap {
             for h in (0..3).map(|k| HalfEdge::of(*f, k)) {
                 match topology.uv_twin(h) {
                     None => walls.push(ends(h)),
-                    Some(twin) if !faces.contains(&twin.face()) => inner.push(ends(h)),
+                    Some(twin) if !self.marks.has_face(twin.face()) => inner.push(ends(h)),
                     Some(_) => {}
                 }
             }
         }
         let borders = walls.len();
         if borders == 0 {
-            return newton::step(&mut self.x, &elements, &reached, &mut self.workspace.0);
+            return newton::step(&mut self.x, &elements, &reached, &mut self.workspace);
         }
-        for &h in self.borders.iter().filter(|h| !faces.contains(&h.face())) {
+        for &h in self.borders.iter().filter(|h| !self.marks.has_face(h.face())) {
             let [a, b] = ends(h).map(|v| self.x[v as usize]);
             if a.min(b).cmple(high).all() && a.max(b).cmpge(low).all() {
                 walls.push(ends(h));
@@ -248,7 +292,7 @@ impl CutMap {
                 elements.push(Element { corners, rest });
             }
         }
-        let step = newton::step(&mut self.x, &elements, free, &mut self.workspace.0);
+        let step = newton::step(&mut self.x, &elements, free, &mut self.workspace);
         self.x.truncate(n);
         step
     }

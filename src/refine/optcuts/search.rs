@@ -243,12 +243,12 @@ impl<'a> Search<'a> {
     }
 
     /// Cuts, and closes what costs more than it is worth, until the bound holds.
-    fn descend(&mut self, most: usize) -> Result<()> {
+    fn descend(&mut self, most: usize, longest: f64) -> Result<()> {
         let mut tight = false;
         let mut part = 0.6;
         for _ in 0..most {
             self.round += 1;
-            if self.distortion <= self.bound || self.stop()? {
+            if self.distortion <= self.bound || self.map.seam_length() > longest || self.stop()? {
                 return Ok(());
             }
             let border = self.operations(false, BORDER_PART);
@@ -348,7 +348,7 @@ impl<'a> Search<'a> {
         if let Some(merge) = self.map.merge(tips[pick.min(tips.len() - 1)]) {
             self.propagate(merge, Some(most))?;
         }
-        self.settle()
+        Ok(())
     }
 
     /// The whole search; `self.map` must be a valid map. `trials`: how often the seams are opened again.
@@ -356,7 +356,7 @@ impl<'a> Search<'a> {
         self.relax(1e-4, 100)?;
         self.visit();
         self.lambda = (self.distortion - self.bound).max(0.0);
-        self.descend(10_000)?;
+        self.descend(10_000, f64::INFINITY)?;
         if self.trace {
             println!("descended E_d {:.5} E_s {:.4} steps {}", self.distortion, self.map.seam_length(), self.steps);
         }
@@ -375,7 +375,7 @@ impl<'a> Search<'a> {
             self.ruin()?;
             self.noise = (0.5, mixed_bits(self.random ^ trial as u64));
             self.lambda = lambda * (0.2 + 0.8 * self.random());
-            self.descend(40)?;
+            self.descend(40, 1.03 * current)?;
             self.noise = (0.0, 0);
             self.trim()?;
             let seam = self.map.seam_length();
