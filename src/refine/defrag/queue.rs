@@ -26,7 +26,7 @@ enum OperationStatus {
     Failed,
     /// Removes too little of a border, until its charts change.
     Small,
-    /// Never again: its seam has changed, or it would fail again.
+    /// Never again: its seam has changed.
     Gone,
 }
 
@@ -127,7 +127,7 @@ impl<'a> OperationQueue<'a> {
         let own = &mut self.candidates[id as usize];
         own.op.fails += 1;
         (own.failure, own.spent) = (Some(failure), work);
-        own.status = if retry::is_final(reason) { OperationStatus::Gone } else { OperationStatus::Failed };
+        own.status = OperationStatus::Failed;
         let link = self.links.link_mut(own.link);
         link.fails = link.fails.max(own.op.fails);
         let first = !std::mem::replace(&mut own.split, true);

@@ -3,13 +3,12 @@
 //! The paper tries every failed operation of a chart again after each merge of that chart (section 4.4), ever later in the queue
 //! (eq. 4, in [`Operation::ranked`](super::operation::Operation::ranked)). Here it is tried where that may help and is not dear. What each
 //! rule is worth was measured on five scans by leaving it out (agi, esp32cam, copyroom, can, mug: 3280, 711, 1380, 321 and 121 charts, of
-//! which 1401, 112, 339, 110 and 13 are left). Work is that of the report:
+//! which 1393, 112, 339, 110 and 13 are left). Work is that of the report:
 //!
 //! | rule | work without it | charts without it |
 //! |---|---|---|
 //! | [`is_concerned`] | +10, +10, +2, +12, +3 % | +14, 0, 0, 0, 0 |
 //! | [`is_worthwhile`] | +6, +25, +13, +22, +19 % | none |
-//! | [`is_final`], limits of the atlas | -2, 0, 0, -3, 0 % | -8, 0, 0, 0, 0 |
 //! | [`still_fails`] | 0, +1, 0, +8, +1 % | none |
 //! | failures of a seam count for the operations that follow on it | +6, +8, +2, +79, 0 % | +17, -1, -1, -7, 0 |
 //! | deformation that spreads further, where the published does not do | -20, -10, -25, -30, -5 % | +21, +12, +37, +4, +1 |
@@ -35,11 +34,6 @@ const HOLDS: usize = 3;
 const HOLDS_OF_MANY: usize = 1;
 /// See [`HOLDS_OF_MANY`].
 const MANY: usize = 2_000;
-
-/// Whether an operation that failed waits for nothing more: charts only grow, and the limits of the atlas come closer as a rule.
-pub(super) fn is_final(reason: Reason) -> bool {
-    matches!(reason, Reason::Global | Reason::Resampled | Reason::Size)
-}
 
 /// Whether parts of a seam may do better: not where charts are too large together.
 pub(super) fn may_split(reason: Reason) -> bool {
