@@ -74,7 +74,7 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
     let (next, packing) = assemble(input, &solved, &held)?;
 
     let share = |of: &[bool]| {
-        let own: f64 = atlas.faces().filter(|f| of[f.index()]).map(|f| atlas.area(f)).sum();
+        let own = atlas.faces().filter(|f| of[f.index()]).fold(0.0, |sum, f| sum + atlas.area(f));
         own / surface_area(atlas).max(1e-300)
     };
     let held_back = share(&held);
@@ -142,7 +142,10 @@ fn solve_all(input: &StageInput<'_>, params: &OptCuts, pieces: Vec<Piece>) -> Re
         let (bound, solution) = solve_one(input, params, &piece, weights.as_deref())?;
         let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
         *done += own;
-        context.step(SOLVING * *done / total, message)?;
+        // Faces that are pieces by themselves may be many, and take no time.
+        if piece.faces.len() > 1 {
+            context.step(SOLVING * *done / total, message)?;
+        }
         Ok((i, Outcome { piece, bound, area: own, solution }))
     };
     let mut solved = queue.into_par_iter().with_max_len(1).map(one).collect::<Result<Vec<_>>>()?;

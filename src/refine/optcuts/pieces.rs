@@ -258,7 +258,7 @@ impl Division {
 }
 
 /// Scales a layout, mirrors the charts that face down, and sets the charts apart.
-fn face_up(atlas: &mut Atlas, scale: f64) {
+pub(super) fn face_up(atlas: &mut Atlas, scale: f64) {
     let charts = Charts::new(&Topology::new(atlas));
     let area: f64 = atlas.faces().map(|f| atlas.uv_area(f).abs()).sum();
     let gap = GAP * area.sqrt() * scale;

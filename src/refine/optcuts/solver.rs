@@ -1,8 +1,10 @@
 //! One piece of a surface cut and flattened.
 
+use glam::DVec2;
+
 use super::params::{Quality, Search};
 use super::pieces;
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, FaceId, HalfEdge, Topology, orientation, triangles_overlap};
 use crate::error::Result;
 
 /// How a piece is to be solved.
@@ -57,16 +59,54 @@ pub(super) fn solve(
     settings: &Settings,
     interrupt: &(dyn Fn() -> Result<bool> + Sync),
 ) -> Result<Solution> {
-    let stopped_by = if interrupt()? { "time_limit" } else { "done" };
-    let atlas = pieces::all_apart(&piece);
+    let atlas = unfolded(&piece, interrupt)?;
     let seam_length = pieces::seam_length(&atlas);
-    Ok(Solution {
-        atlas,
-        distortion: 4.0,
-        seam_length,
-        bound_met: settings.bound > 4.0,
-        stopped_by,
-        iterations: 0,
-        work: 1,
-    })
+    let bound_met = settings.bound > 4.0;
+    Ok(Solution { atlas, distortion: 4.0, seam_length, bound_met, stopped_by: "done", iterations: 0, work: 1 })
+}
+
+/// Faces of a chart at most: each new one is held against all others.
+const LARGEST: usize = 200;
+
+/// Trees of faces, each unfolded as far as it does not meet itself.
+fn unfolded(piece: &Atlas, interrupt: &(dyn Fn() -> Result<bool> + Sync)) -> Result<Atlas> {
+    let mut atlas = pieces::all_apart(piece);
+    let topology = Topology::new(&atlas);
+    let mut done = vec![false; atlas.face_count()];
+    for seed in atlas.faces() {
+        if std::mem::replace(&mut done[seed.index()], true) {
+            continue;
+        }
+        interrupt()?;
+        let mut chart = vec![seed];
+        let mut next = 0;
+        while let Some(face) = chart.get(next).copied() {
+            next += 1;
+            for h in [0, 1, 2].map(|k| HalfEdge::of(face, k)) {
+                let Some(twin) = topology.surface_twin(h).filter(|t| !done[t.face().index()]) else { continue };
+                let own = atlas.uv_triangle(twin.face());
+                let uv = |k: usize| atlas.corners[face.index()][k];
+                let [a, b] = [uv(h.end_corner()), uv(h.corner())];
+                let [p, q] = [a, b].map(|u| atlas.uv[u.index()]);
+                let from = own[twin.end_corner()] - own[twin.corner()];
+                let turn = (q - p).rotate(DVec2::new(from.x, -from.y)) / from.length_squared();
+                let apex = 3 - twin.corner() - twin.end_corner();
+                let tip = p + turn.rotate(own[apex] - own[twin.corner()]);
+                let placed = [p, q, tip];
+                let meets = |g: &FaceId| triangles_overlap(&placed, &atlas.uv_triangle(*g));
+                if chart.len() >= LARGEST || orientation(p, q, tip) <= 0 || chart.iter().any(meets) {
+                    continue;
+                }
+                let corners = &mut atlas.corners[twin.face().index()];
+                let third = corners[apex];
+                (corners[twin.corner()], corners[twin.end_corner()]) = (a, b);
+                atlas.uv[third.index()] = tip;
+                done[twin.face().index()] = true;
+                chart.push(twin.face());
+            }
+        }
+    }
+    atlas.drop_unused_uvs();
+    pieces::face_up(&mut atlas, 1.0);
+    Ok(atlas)
 }
