@@ -1,15 +1,15 @@
 //! The stage `optcuts`: Li, Kaufman, Kim, Solomon and Sheffer 2018, *OptCuts: Joint Optimization of Surface Cuts and Parameterization*.
 //!
 //! A surface of any kind is divided into pieces that can be flattened ([`pieces`]); each is cut and flattened by itself
-//! ([`solver`]), from the uploaded charts where these are to be polished ([`start`]); the charts of all are packed ([`assemble`]).
+//! ([`solver`]), from the uploaded charts where these are to be polished ([`uploaded`]); the charts of all are packed ([`assemble`]).
 
 mod assemble;
 pub mod params;
 mod pieces;
 mod solver;
-mod start;
 #[cfg(test)]
 mod tests;
+mod uploaded;
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -24,7 +24,7 @@ use self::solver::{Settings, Solution, solve};
 use super::pack::finished;
 use super::stage::{StageInput, Staged};
 use crate::atlas::overlap::overlaps_where;
-use crate::atlas::{Atlas, Charts, FaceId, Topology, orientation};
+use crate::atlas::{Atlas, Charts, FaceId, Topology, orientation, penetration};
 use crate::error::{Code, Result, Warning};
 
 /// Bound where that of the input is asked for and there is no layout.
@@ -35,6 +35,8 @@ const LEAST_DISTORTION: f64 = 1e-4;
 const LEAST_IMPORTANCE: f64 = 0.01;
 /// Importance from which on nothing is cut where it can be helped.
 const FORBIDDEN: f64 = 1e6;
+/// How deep faces may overlap, in units of the extent of their layout: what rounding makes of faces that touch.
+const ROUNDING: f64 = 1e-11;
 /// Part of the stage's progress that the pieces are.
 const SOLVING: f64 = 0.85;
 
@@ -51,11 +53,11 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
         return Ok(kept("no_layout"));
     }
     context.step(0.0, "dividing the surface")?;
-    let held = start::held_back(input, params);
+    let held = uploaded::held_back(input, params);
     let degenerate: Vec<bool> = atlas.faces().map(|f| is_degenerate(atlas.triangle(f))).collect();
     let wanted: Vec<bool> = held.iter().zip(&degenerate).map(|(held, flat)| !held && !flat).collect();
     let division = divide(atlas, &wanted);
-    let layout = start::layout(input, params, &wanted)?;
+    let layout = uploaded::layout(input, params, &wanted)?;
     let source = layout.as_ref().map_or(atlas, |l| &l.atlas);
     let fits = |faces: &[FaceId]| layout.as_ref().is_some_and(|l| !faces.iter().any(|f| l.unfit[f.index()]));
     let pieces = division.build(source, &fits);
@@ -68,7 +70,7 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
     let count = pieces.len();
     let outcomes = solve_all(input, params, pieces)?;
     let (mut figures, stopped_by) = sum(&outcomes, params);
-    let left: f64 = outcomes.iter().map(|o| o.solution.seam_length).sum();
+    let left = outcomes.iter().fold(0.0, |sum, o| sum + o.solution.seam_length);
     let solved: Vec<Solved> =
         outcomes.into_iter().map(|o| Solved { piece: o.piece, atlas: o.solution.atlas }).collect();
     let (next, packing) = assemble(input, &solved, &held)?;
@@ -250,7 +252,10 @@ fn fault(piece: &Atlas, solved: &Atlas, bijective: bool) -> Option<&'static str>
     if solved.faces().any(down) {
         return Some("a face is turned over or has lost its area");
     }
-    let overlap = || !overlaps_where(solved, 1, |_, _| true).0.is_empty();
+    // Moving charts rounds the last digits.
+    let extent = solved.uv.iter().fold(0.0, |most: f64, p| most.max(p.abs().max_element()));
+    let deep = |f, g| penetration(&solved.uv_triangle(f), &solved.uv_triangle(g)) > ROUNDING * extent;
+    let overlap = || !overlaps_where(solved, 1, deep).0.is_empty();
     (bijective && overlap()).then_some("two faces overlap")
 }
 
