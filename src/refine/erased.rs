@@ -30,6 +30,8 @@ pub trait AnyStage: Any + Debug + Send + Sync {
     fn weight(&self) -> f64;
     /// See [`Stage::SHARED`].
     fn is_shared(&self) -> bool;
+    /// See [`Stage::NEEDS_LAYOUT`].
+    fn needs_layout(&self) -> bool;
     /// See [`Stage::run`].
     ///
     /// # Errors
@@ -69,6 +71,10 @@ impl<S: Stage> AnyStage for S {
 
     fn is_shared(&self) -> bool {
         S::SHARED
+    }
+
+    fn needs_layout(&self) -> bool {
+        S::NEEDS_LAYOUT
     }
 
     fn run(&self, input: &StageInput<'_>) -> Result<Staged> {

@@ -3,6 +3,8 @@
 //! A weight of 1 is ordinary, 100 matters a hundred times as much, 0 not at all. Values in 0..=1 (colours, pictures) are
 //! spread over 1..=100, as w = 1 + 99 v; an attribute of floats with any value above 1 holds weights already, and all
 //! its values are taken as they are.
+//!
+//! All stages take a weight for what a unit of length of a cut costs there, at an edge the mean of its ends.
 
 use std::collections::BTreeMap;
 
@@ -269,6 +271,13 @@ fn from_texture(name: &str, subjects: &[Subject<'_>], limits: &Limits, context: 
     for subject in subjects {
         context.check()?;
         let atlas = &subject.set.atlas;
+        if !atlas.has_layout() {
+            let text =
+                format!("{} has no texture coordinates to read weights at: its weight is {ORDINARY}", subject.set.name);
+            context.warn(Warning::new("importance_missing", text).at(at));
+            all.push(Importance { corners: vec![[ORDINARY; 3]; atlas.face_count()] });
+            continue;
+        }
         let size = subject.set.reference.map(|n| f64::from(n.max(1)));
         let weights =
             |corners: [glam::DVec2; 3]| corners.map(|uv| spread(first_channel(&image, uv / glam::DVec2::from(size))));

@@ -91,17 +91,19 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     // Surfaces without a layout are numbered after all others.
     sets.sort_by_key(|(_, set)| !set.atlas.has_layout());
     let mapped = sets.iter().filter(|(_, set)| set.atlas.has_layout()).count();
-    if mapped == 0 && context.warnings().is_empty() {
+    let unwraps = join && options.steps().iter().any(|step| !step.stage.needs_layout());
+    let refinable = if unwraps { sets.len() } else { mapped };
+    if refinable == 0 && context.warnings().is_empty() {
         context.warn(nothing_to_refine(&loaded.models, options.atlas.uv_set));
     }
     let weights = match &options.importance {
         Some(source) => {
-            let subjects: Vec<Subject<'_>> = sets[..mapped]
+            let subjects: Vec<Subject<'_>> = sets[..refinable]
                 .iter()
                 .map(|(model, set)| Subject { doc: &loaded.models[*model].doc, files: &input.models[*model], set })
                 .collect();
             let own = importances(source, &subjects, &input.limits, context)?;
-            own.into_iter().map(Some).chain((mapped..sets.len()).map(|_| None)).collect()
+            own.into_iter().map(Some).chain((refinable..sets.len()).map(|_| None)).collect()
         }
         None => vec![None; sets.len()],
     };

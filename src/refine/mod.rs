@@ -10,6 +10,7 @@ mod formats;
 mod group;
 pub mod importance;
 mod load;
+pub mod optcuts;
 pub mod options;
 mod pack;
 pub mod parse;

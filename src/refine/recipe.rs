@@ -109,10 +109,22 @@ pub const PRESETS: &[Preset] = &[
         options: r#"{"pack": {"rotation": "any", "mirror": false}, "atlas": {"overlaps": "separate", "if_larger": "accept"},
             "fabrication": {}}"#,
     },
+    Preset {
+        name: "unwrap",
+        description: "Makes a layout of the surface alone: the shortest seams that a bound on distortion allows, packed. What has a layout gets a new one.",
+        stages: &[PresetStage::new("optcuts")],
+        options: r#"{"atlas": {"if_larger": "accept"}, "optcuts": {"start": "fresh"}}"#,
+    },
+    Preset {
+        name: "polish",
+        description: "Shortens the seams of the uploaded layout, without more distortion than it has, and packs it.",
+        stages: &[PresetStage::new("optcuts")],
+        options: r#"{"atlas": {"if_larger": "accept"}, "optcuts": {"start": "uploaded", "max_distortion": "input"}}"#,
+    },
 ];
 
 /// Stages of the contract that this version does not have yet.
-const LATER: &[&str] = &["optcuts", "bounded"];
+const LATER: &[&str] = &["bounded"];
 
 /// The preset of that name.
 pub fn preset(name: &str) -> Option<&'static Preset> {

@@ -140,7 +140,8 @@ impl<'a> Run<'a> {
             for (n, step) in self.steps.iter().enumerate() {
                 self.context.enter(1 + n);
                 // A stage that reads UVs leaves surfaces that have none.
-                for refinement in refinements.iter_mut().filter(|r| r.atlas.has_layout()) {
+                let takes = |r: &&mut Refinement<'_>| r.atlas.has_layout() || !step.stage.needs_layout();
+                for refinement in refinements.iter_mut().filter(takes) {
                     refinement.apply(step, self.options, self.context)?;
                 }
             }

@@ -22,6 +22,8 @@ pub trait Stage: Params {
     const WEIGHT: f64;
     /// Whether its parameters are the job's own, under the same name, because other stages heed them too. In a recipe it has none then.
     const SHARED: bool = false;
+    /// Whether it reads the UVs of its input. One that does leaves surfaces without texture coordinates.
+    const NEEDS_LAYOUT: bool = true;
 
     /// Refines the Atlas.
     ///

@@ -10,6 +10,7 @@ use utoipa::openapi::{Object, RefOr, Schema};
 use super::box_cutter::params::BoxCutter;
 use super::defrag::params::Defrag;
 use super::erased::{ErasedStage, NamedSchemas};
+use super::optcuts::params::OptCuts;
 use super::stage::Stage;
 use crate::packing::Pack;
 
@@ -18,6 +19,7 @@ static STAGES: &[fn() -> ErasedStage] = &[
     ErasedStage::of::<Pack>,
     ErasedStage::of::<BoxCutter>,
     ErasedStage::of::<Defrag>,
+    ErasedStage::of::<OptCuts>,
     #[cfg(test)]
     ErasedStage::of::<super::tests::nudge::Nudge>,
 ];

@@ -114,6 +114,28 @@ fn a_raw_model_is_a_job_too() {
 }
 
 #[test]
+fn a_bare_model_comes_back_with_texture_coordinates() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let bare = intarsia::asset::sample::sample("defects").unwrap();
+    let response = server.post("/v1/jobs?recipe=unwrap", "model/gltf-binary", &bare);
+    assert_eq!(response.status(), 202);
+    let job = server.wait(header(&response, "location"));
+    assert_eq!(job["state"], "succeeded", "{job:#}");
+    assert_eq!(job["options"]["optcuts"]["start"], "fresh");
+    let model = bytes(&mut server.get(artifact(&job, "model.glb")["href"].as_str().unwrap(), &[]));
+    let model = gltf::Gltf::from_slice_without_validation(&model).unwrap();
+    let primitive = model.meshes().next().unwrap().primitives().next().unwrap();
+    assert!(primitive.get(&gltf::Semantic::TexCoords(0)).is_some());
+    artifact(&job, "atlas-0.after.png");
+
+    let bound = r#"{"recipe": "unwrap", "optcuts": {"max_distortion": 4}}"#;
+    let mut response = server.submit(&Form::default().file("model", "bare.glb", &bare).text("options", bound));
+    assert_eq!(response.status(), 422);
+    assert_eq!(json(&mut response)["errors"][0]["pointer"], "/optcuts/max_distortion");
+}
+
+#[test]
 fn same_input_same_bytes() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);

@@ -10,4 +10,5 @@ mod expected;
 mod geometry;
 mod lossless;
 mod node;
+mod optcuts;
 mod pack;

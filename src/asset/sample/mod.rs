@@ -1,5 +1,6 @@
 //! Models made by code, to try things on and to test with. Each has a reason to exist, told at its name.
 
+mod bare;
 mod lumpy;
 mod paint;
 mod parts;
@@ -12,7 +13,7 @@ use crate::error::{Code, Failure, Result};
 
 type Maker = fn() -> scene::Scene;
 
-const SAMPLES: [(&str, Maker); 11] = [
+const SAMPLES: [(&str, Maker); 13] = [
     ("textured", lumpy::textured),
     ("fragmented", lumpy::fragmented),
     ("overlapping", lumpy::overlapping),
@@ -21,6 +22,8 @@ const SAMPLES: [(&str, Maker); 11] = [
     ("quantized", lumpy::quantized),
     ("strips", parts::strips),
     ("two_materials", lumpy::two_materials),
+    ("bare", bare::bare),
+    ("defects", bare::defects),
     ("scan", scan::few),
     ("scan_2000", scan::many),
     ("scan_10000", scan::very_many),
@@ -50,6 +53,9 @@ pub fn names() -> &'static [&'static str] {
 /// * `quantized`: KHR_mesh_quantization, interleaved.
 /// * `strips`: a triangle strip over a sparse accessor, and a fan.
 /// * `two_materials`: two texture sets, and a primitive without UVs.
+/// * `bare`: a ring and a lumpy ball without texture coordinates, the top of the ball painted.
+/// * `defects`: no texture coordinates, and every fault of a surface: edges with three faces, a vertex that joins two sheets, faces without
+///   area, twice, wound the other way round, alone; a T-junction, a band with one side, a leaf with two.
 /// * `scan`, `scan_2000`, `scan_10000`: some 500, 2,000 and 10,000 ragged charts of some 20 faces as photogrammetry makes
 ///   them, each as a camera sees it, with islands and holes; and what is wrong with scans: edges with three faces, faces wound
 ///   the other way round or without area, vertices in several copies.

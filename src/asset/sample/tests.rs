@@ -116,6 +116,19 @@ fn the_others_have_what_they_are_for() {
     assert_eq!(doc.images.len(), 2);
 }
 
+#[test]
+fn bare_surfaces_have_no_layout_and_the_faults_they_are_for() {
+    let faults = |name: &str| {
+        let atlas = atlas(name);
+        assert!(!atlas.has_layout(), "{name}");
+        let flat = atlas.faces().filter(|f| atlas.area(*f) == 0.0).count();
+        (crate::atlas::testing::non_manifold_edges(&atlas), flat)
+    };
+    assert_eq!(faults("bare"), (0, 0));
+    let (edges, flat) = faults("defects");
+    assert!(edges > 3 && flat == 3, "{edges} {flat}");
+}
+
 fn atlas(name: &str) -> Atlas {
     let (doc, _) =
         load(&[File { path: "scan.glb".to_owned(), bytes: made(name).to_vec() }], None, &Limits::default()).unwrap();

@@ -175,7 +175,7 @@ fn recipes_are_names_or_stages() {
     assert_eq!(named("pack").unwrap().recipe, Recipe::Preset("pack".to_owned()));
     assert_eq!(named("pack, pack").unwrap().recipe, Recipe::Stages(vec![pack(), pack()]));
     assert!(named("pak").unwrap_err()[0].message.contains("did you mean `pack`?"));
-    assert!(named("optcuts,pack").unwrap_err()[0].message.contains("not available"));
+    assert!(named("bounded,pack").unwrap_err()[0].message.contains("not available"));
     assert!(named("scan,pack").unwrap_err()[0].message.contains("is a recipe"));
     let defrag = ErasedStage::new(Defrag { retry: false, ..Defrag::default() });
     let listed = options(&json!({ "recipe": recipe_named("defrag,pack"), "defrag": {"retry": false} })).unwrap();

@@ -1,0 +1,135 @@
+//! `--recipe unwrap` and `polish`: surfaces as they come get a layout that others can read, and keep everything else.
+
+use intarsia::asset::sample::sample;
+use intarsia::asset::{Document, File, Limits, load};
+use intarsia::context::Context;
+use intarsia::refine::optcuts::params::{OptCuts, Quality};
+use intarsia::refine::options::Options;
+use intarsia::refine::{Input, Outcome, refine};
+use serde_json::Value;
+
+use super::{data, every};
+
+/// Packing is not what is tried here.
+const WORK: u64 = 2_000_000;
+
+fn run(name: &str, recipe: &str, files: Vec<File>) -> Outcome {
+    let mut options = Options::preset(recipe);
+    options.stages.set(OptCuts { quality: Quality::Fast, ..options.stages.get() });
+    options.work_budget = Some(WORK);
+    let input = Input { models: vec![files], extras: true, ..Input::default() };
+    refine(&input, &options, &Context::silent()).unwrap_or_else(|failure| panic!("{name}: {failure}"))
+}
+
+fn opened(name: &str) -> Document {
+    let file = File { path: format!("{name}.glb"), bytes: sample(name).expect("a sample") };
+    load(&[file], None, &Limits::default()).expect("the sample loads").0
+}
+
+/// Unwraps what `files` are, given as GLB too: nothing is lost, nothing overlaps, and every triangle has texture coordinates.
+fn unwrap(name: &str, files: Vec<File>, glb: &[u8]) -> Outcome {
+    let start = std::time::Instant::now();
+    let outcome = run(name, "unwrap", files);
+    let path = every::written(&format!("{name}.bare"), glb);
+    every::whole(name, &path, glb, &outcome);
+    let codes: Vec<&str> = list(&outcome.report["warnings"]).iter().filter_map(|w| w["code"].as_str()).collect();
+    assert!(codes.iter().all(|c| *c == "bound_not_met"), "{name}: {:#}", outcome.report["warnings"]);
+    let atlases = list(&outcome.report["atlases"]);
+    assert!(!atlases.is_empty() && atlases.iter().all(|a| a["refined"] == true), "{name}: {atlases:#?}");
+    for (atlas, stage) in atlases.iter().zip(list(&outcome.report["stages"])) {
+        let after = &atlas["after"];
+        assert_eq!(after["flipped_triangles"], 0, "{name}: {after}");
+        assert!(after["overlap_fraction"].as_f64().is_some_and(|o| o < 1e-6), "{name}: {after}");
+        assert_eq!(after["stacked_fraction"].as_f64(), Some(0.0), "{name}: {after}");
+        let met = stage["bound_met"] == true && stage["symmetric_dirichlet"].as_f64().is_some_and(|e| e <= 4.1 + 1e-6);
+        assert!(met || codes.contains(&"bound_not_met"), "{name}: {stage}");
+    }
+    let model = outcome.artifacts.iter().find(|a| a.role == "model").expect("a model");
+    let model = gltf::Gltf::from_slice_without_validation(&model.bytes).expect("a GLB");
+    for primitive in model.meshes().flat_map(|m| m.primitives().collect::<Vec<_>>()) {
+        let uvs = primitive.get(&gltf::Semantic::TexCoords(0)).unwrap_or_else(|| panic!("{name} has no TEXCOORD_0"));
+        let positions = primitive.get(&gltf::Semantic::Positions).expect("positions");
+        assert_eq!(uvs.count(), positions.count(), "{name}");
+    }
+    let pictures: Vec<&str> =
+        outcome.artifacts.iter().filter(|a| a.role == "picture").map(|a| a.name.as_str()).collect();
+    assert!(pictures.contains(&"atlas-0.after.png"), "{name}: {pictures:?}");
+    println!("{name}: {:.1} s, {}", start.elapsed().as_secs_f64(), outcome.report["stages"]);
+    outcome
+}
+
+fn list(value: &Value) -> &[Value] {
+    value.as_array().map_or(&[], Vec::as_slice)
+}
+
+fn unwrapped_document(name: &str, doc: &Document) -> Outcome {
+    let glb = doc.to_glb().expect("a GLB");
+    unwrap(name, vec![File { path: "bare.glb".to_owned(), bytes: glb.clone() }], &glb)
+}
+
+#[test]
+fn bare_samples_get_a_layout() {
+    let outcome = unwrapped_document("bare", &opened("bare"));
+    assert!(outcome.report["atlases"][0]["before"]["packing_efficiency"].is_null());
+    let outcome = unwrapped_document("defects", &opened("defects"));
+    assert_eq!(outcome.report["stages"][0]["degenerate_faces"], 3);
+}
+
+/// What a primitive is made of is kept, whatever it is: skins and morph targets, quantised positions, strips, fans, no indices.
+#[test]
+fn whatever_a_primitive_is_made_of_stays() {
+    for name in ["skinned", "quantized", "strips", "textured"] {
+        let mut doc = opened(name);
+        for primitive in doc.json["meshes"].as_array_mut().expect("meshes").iter_mut() {
+            for primitive in primitive["primitives"].as_array_mut().expect("primitives") {
+                let primitive = primitive.as_object_mut().expect("an object");
+                primitive.shift_remove("material");
+                // Every other sample without indices is what its vertices are in order.
+                if name == "textured" {
+                    primitive.shift_remove("indices");
+                }
+                let attributes = primitive["attributes"].as_object_mut().expect("attributes");
+                attributes.shift_remove("TEXCOORD_0");
+                attributes.shift_remove("TANGENT");
+            }
+        }
+        unwrapped_document(&format!("bare-{name}"), &doc);
+    }
+}
+
+#[test]
+fn surfaces_of_research_and_broken_ones_are_unwrapped() {
+    let names = [
+        "meshes/bishop_part.obj",
+        "meshes/cathead.obj",
+        "meshes/double_triangles.obj",
+        "meshes/sphere_uniRemesh.obj",
+        "meshes/torus_with_hole.obj",
+        "meshes/multiComp.obj",
+        "hostile/ArtDemo.obj",
+        "hostile/toy.obj",
+        "hostile/cube.obj",
+        "hostile/triangle_clockwise.obj",
+    ];
+    for (name, files) in data::models(&names) {
+        let (doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
+        unwrap(name, files, &doc.to_glb().expect("a GLB"));
+    }
+}
+
+/// The textured model is polished with its textures, and given a new layout with its textures.
+#[test]
+fn textures_come_along() {
+    for recipe in ["polish", "unwrap"] {
+        let glb = sample("strips").expect("a sample");
+        let outcome = run("strips", recipe, vec![File { path: "strips.glb".to_owned(), bytes: glb.clone() }]);
+        every::whole(recipe, &every::written(&format!("strips.{recipe}"), &glb), &glb, &outcome);
+        let report = &outcome.report;
+        assert_eq!(list(&report["warnings"]).len(), 0, "{recipe}: {:#}", report["warnings"]);
+        let texture = &report["textures"][0];
+        assert!(texture["psnr_db"].as_f64().is_some_and(|p| p > 30.0), "{recipe}: {texture}");
+        let density = |when: &str| report["atlases"][0][when]["texel_density"]["median"].as_f64().expect("a density");
+        let ratio = density("after") / density("before");
+        assert!((0.5..2.0).contains(&ratio), "{recipe}: texels by length changed by {ratio}");
+    }
+}
