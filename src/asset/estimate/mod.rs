@@ -28,10 +28,10 @@ pub struct Estimate {
     pub triangles: u64,
 }
 
-/// Estimates what a refinement of `model` (its name, and where it is on the disk) with the `files` that it may name with `threads` will
-/// hold in memory at its peak. Files are only looked at: what is held of them is some heads and the part of a glTF JSON that tells sizes, at
-/// most a few times `max_json_bytes` for the worst. Declared sizes are clamped to `limits`, beyond which a job fails; what
-/// cannot be read counts by its length, and the job itself will tell why.
+/// Estimates what a refinement of `model` (its name, and where it is on the disk), with the `files` that it may name, will hold in
+/// memory at its peak when `threads` compute. Files are only looked at: what is held of them is some heads, the part of a glTF JSON that tells
+/// sizes (at most a few times `max_json_bytes` for the worst), and up to some 100 MB of texture coordinates. Declared sizes are clamped to
+/// `limits`, beyond which a job fails; what cannot be read counts by its length, and the job itself will tell why.
 ///
 /// # Errors
 /// `too_large` when archives unpack to more than `max_input_bytes`, and for images and triangles beyond `limits`.

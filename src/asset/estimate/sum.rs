@@ -21,8 +21,8 @@ const TRIANGLE: f64 = 1000.0;
 const BARE_TRIANGLE: f64 = 400.0;
 /// Texels that a thread bakes at a time, and what it holds of each: owner, distance, and what fits it to the uploaded image.
 const BAND: (u64, f64) = (1 << 18, 40.0);
-/// Of the texels of an upload, those of the refined page: most that is gained elsewhere, and what it is where the area of the charts is known, by
-/// that area.
+/// Texels of the refined pages, of those of the upload: at most so many; where the area of the charts is known, that area times the second
+/// number and the third.
 const PAGE: (f64, f64, f64) = (0.95, 2.1, 0.12);
 
 /// What the files of a model declare.
