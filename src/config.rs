@@ -257,6 +257,9 @@ pub struct Inspect {
     /// Print the figures as JSON.
     #[arg(long)]
     pub json: bool,
+    /// Print only the bytes of memory that a service will expect a job on these models to need, by the headers of their files.
+    #[arg(long, conflicts_with_all = ["json", "require"])]
+    pub memory: bool,
     /// A bound on a figure, such as 'atlas.packing_efficiency>=0.8'; exit code 4 where it is not met.
     #[arg(long, value_name = "PATH>=N")]
     pub require: Vec<String>,

@@ -1,13 +1,16 @@
 //! `intarsia inspect`: the figures of every atlas in a model.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use intarsia::asset::{File, estimate};
 use intarsia::config::Inspect;
 use intarsia::context::Context;
 use intarsia::error::{Code, Failure, Result};
 use intarsia::metrics::Requirement;
 use intarsia::refine::inspect_and_judge;
+use intarsia::refine::run::Input;
 
 use super::progress::Teller;
 use super::table;
@@ -22,13 +25,30 @@ pub fn run(arguments: &Inspect) -> Result<()> {
         entry.max = bound.max.or(entry.max);
     }
     let input = super::read_input(&arguments.input, &options)?;
-    let context = Context::new(Arc::new(Teller::Quiet), Arc::new(AtomicBool::new(false)), options.seed);
     let pool = intarsia::jobs::slots::pool(arguments.threads)?;
+    if arguments.memory {
+        return super::print(&format!("{}\n", memory(arguments, &input, pool.current_num_threads())?));
+    }
+    let context = Context::new(Arc::new(Teller::Quiet), Arc::new(AtomicBool::new(false)), options.seed);
     let (report, failures) = pool.install(|| inspect_and_judge(&input, &options, &context))?;
     let columns = table::columns(&report, "before");
     let text = if arguments.json { super::pretty(&report) } else { table::render(&columns) };
     super::print(&text)?;
     super::judge(&failures, "a requirement is not met")
+}
+
+/// The estimate for all models together, each with its files where they lie.
+fn memory(arguments: &Inspect, input: &Input, threads: usize) -> Result<u64> {
+    let folders: Vec<&Path> = arguments.input.iter().map(|p| p.parent().unwrap_or(Path::new(""))).collect();
+    let mut sum = 0u64;
+    for files in &input.models {
+        let place = |file: &File| folders.iter().map(|f| f.join(&file.path)).find(|p| p.is_file()).unwrap_or_default();
+        let files: Vec<(&str, PathBuf)> = files.iter().map(|file| (file.path.as_str(), place(file))).collect();
+        let files: Vec<(&str, &Path)> = files.iter().map(|(name, path)| (*name, path.as_path())).collect();
+        let Some((model, files)) = files.split_first() else { continue };
+        sum = sum.saturating_add(estimate(*model, files, &input.limits, threads)?.bytes);
+    }
+    Ok(sum)
 }
 
 /// `PATH>=N` or `PATH<=N` as a requirement.

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use axum::extract::{Request, State};
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -95,17 +95,18 @@ fn origin(text: &str) -> Result<HeaderValue> {
     }
 }
 
-/// The name by which the service is called.
+/// The name by which the service is called: that of the target where it has one, whatever the header says (RFC 9112, section 3.2.2).
 fn host(request: &Request) -> Option<&str> {
-    let named = |headers: &HeaderMap| headers.get(header::HOST).map(HeaderValue::len);
-    match named(request.headers()) {
-        Some(_) => Some(request.headers().get(header::HOST)?.to_str().unwrap_or_default()),
-        None => request.uri().authority().map(Authority::as_str),
-    }
+    let named = || Some(request.headers().get(header::HOST)?.to_str().unwrap_or_default());
+    request.uri().authority().map(Authority::as_str).or_else(named)
 }
 
 /// Refuses what comes from other sites, and what is meant for another host.
 pub(super) async fn check(State(sites): State<Sites>, request: Request, next: Next) -> Response {
+    // A proxy may have read another of them (RFC 9112, section 3.2).
+    if request.headers().get_all(header::HOST).iter().nth(1).is_some() {
+        return refused(Problem::new(Code::InvalidRequest, "the request has more than one `Host`"), request);
+    }
     let host = host(&request);
     if host.is_some_and(|host| !sites.knows_host(host)) {
         let detail = "this service listens on this machine alone and does not know the host that is asked for; --allow-host adds one";
@@ -146,6 +147,18 @@ mod tests {
             assert!(!local.knows_host(host), "{host}");
         }
         assert!(sites(&[], &[], "0.0.0.0:80").knows_host("anything.example"));
+    }
+
+    #[test]
+    fn the_target_names_the_host_before_the_header_does() {
+        let named = |target: &str, header: Option<&str>| {
+            let request = axum::http::Request::builder().uri(target);
+            let request = header.into_iter().fold(request, |r, host| r.header("host", host));
+            host(&request.body(axum::body::Body::empty()).unwrap()).map(str::to_owned)
+        };
+        assert_eq!(named("/v1/jobs", Some("localhost:8080")).as_deref(), Some("localhost:8080"));
+        assert_eq!(named("http://evil.example/", Some("localhost")).as_deref(), Some("evil.example"));
+        assert_eq!(named("/", None), None);
     }
 
     #[test]

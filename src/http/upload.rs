@@ -367,13 +367,14 @@ impl<'a> IncomingUpload<'a> {
     async fn memory(&self) -> HandlerResult<u64> {
         let (folder, manifest, limits) =
             (self.folder.clone(), self.manifest.clone(), crate::asset::Limits::from(&self.app.jobs.limits));
+        let threads = self.app.jobs.slots.threads();
         let estimated = tokio::task::spawn_blocking(move || {
             let at = |stored: &UploadedFile| folder.join(stored.number.to_string());
             let files: Vec<(&str, PathBuf)> = manifest.files.iter().map(|f| (f.path.as_str(), at(f))).collect();
             let files: Vec<(&str, &Path)> = files.iter().map(|(name, path)| (*name, path.as_path())).collect();
             let mut models = manifest.models.iter();
             models.try_fold(0u64, |sum, model| -> Result<u64, Failure> {
-                Ok(sum.saturating_add(estimate((&model.path, &at(model)), &files, &limits)?.bytes))
+                Ok(sum.saturating_add(estimate((&model.path, &at(model)), &files, &limits, threads)?.bytes))
             })
         });
         let bytes = estimated.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))??;

@@ -30,6 +30,8 @@ pub struct Telemetry {
     pub received: IntCounter,
     /// Bytes of artifacts that were published.
     pub published: IntCounter,
+    /// Processes of single jobs that died.
+    pub deaths: IntCounter,
 }
 
 impl Telemetry {
@@ -87,6 +89,7 @@ impl Telemetry {
             memory: gauge("memory_reserved_bytes", "Bytes that the jobs of this process are expected to need")?,
             received: counter("upload_bytes_total", "Bytes of uploads")?,
             published: counter("artifact_bytes_total", "Bytes of published artifacts")?,
+            deaths: counter("job_deaths_total", "Processes of single jobs that died under this one")?,
             registry,
         })
     }

@@ -181,6 +181,7 @@ impl Jobs {
         if self.shutdown.is_cancelled() && self.release(claim, reporter).await {
             return;
         }
+        self.telemetry.deaths.inc();
         let state = self.persistently(|| self.queue.died(claim)).await.flatten();
         match state {
             Some(JobState::Queued) => {

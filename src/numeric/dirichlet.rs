@@ -88,10 +88,8 @@ impl RestTriangle {
             let b = w * difference * q[i] * p[k];
             let c = w * difference * p[i] * q[k];
             // [a b; c d] is in the basis of the left singular vectors.
-            let rows = [
-                DVec2::new(u.x * a - u.y * c, u.x * b - u.y * d),
-                DVec2::new(u.y * a + u.x * c, u.y * b + u.x * d),
-            ];
+            let rows =
+                [DVec2::new(u.x * a - u.y * c, u.x * b - u.y * d), DVec2::new(u.y * a + u.x * c, u.y * b + u.x * d)];
             DMat2::from_cols(
                 DVec2::new(rows[0].x * u.x - rows[0].y * u.y, rows[1].x * u.x - rows[1].y * u.y),
                 DVec2::new(rows[0].x * u.y + rows[0].y * u.x, rows[1].x * u.y + rows[1].y * u.x),

@@ -67,7 +67,14 @@ impl Structure {
         let pairs = triangles.iter().flat_map(|t| (0..6).map(|k| (t[k / 2], t[(k / 2 + 1 + k % 2) % 3])));
         let graph = Grouped::new(n, pairs.filter(|(a, b)| *a != FIXED && *b != FIXED));
         let mut vertices: Vec<u32> = (0..n as u32).collect();
-        let mut dissection = Dissection { at, graph: &graph, side: vec![0; n], round: 0, order: Vec::with_capacity(n), parts: Vec::new() };
+        let mut dissection = Dissection {
+            at,
+            graph: &graph,
+            side: vec![0; n],
+            round: 0,
+            order: Vec::with_capacity(n),
+            parts: Vec::new(),
+        };
         dissection.part(&mut vertices);
         let Dissection { order, parts, .. } = dissection;
         let mut place = vec![0u32; n];
@@ -89,7 +96,14 @@ impl Structure {
             if parent != FIXED {
                 children[parent as usize].push(f as u32);
             }
-            fronts.push(Front { start: part.start, own: part.own, rest, parent, in_parent: Vec::new(), elements: 0..0 });
+            fronts.push(Front {
+                start: part.start,
+                own: part.own,
+                rest,
+                parent,
+                in_parent: Vec::new(),
+                elements: 0..0,
+            });
         }
         for f in 0..fronts.len() {
             if let Some(parent) = fronts.get(fronts[f].parent as usize) {
@@ -104,7 +118,8 @@ impl Structure {
         for (f, front) in fronts.iter_mut().enumerate() {
             let from = elements.len();
             for &e in by_front.of(f as u32) {
-                let rows = triangles[e as usize].map(|v| if v == FIXED { FIXED } else { row_in(front, place[v as usize]) });
+                let rows =
+                    triangles[e as usize].map(|v| if v == FIXED { FIXED } else { row_in(front, place[v as usize]) });
                 elements.push((e, rows));
             }
             front.elements = from..elements.len();
@@ -188,7 +203,8 @@ impl Structure {
             local.extend(front.rest.iter().flat_map(|&p| [x[2 * p as usize], x[2 * p as usize + 1]]));
             for k in (0..own).rev() {
                 let column = &panel[k * n..(k + 1) * n];
-                let below: f64 = column[k + 1..own].iter().zip(&x[start + k + 1..start + own]).map(|(l, v)| l * v).sum();
+                let below: f64 =
+                    column[k + 1..own].iter().zip(&x[start + k + 1..start + own]).map(|(l, v)| l * v).sum();
                 let beyond: f64 = column[own..].iter().zip(&local).map(|(l, v)| l * v).sum();
                 x[start + k] = (x[start + k] - below - beyond) / column[k];
             }

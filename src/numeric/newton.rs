@@ -129,13 +129,15 @@ mod tests {
         let mut elements = Vec::new();
         for i in 0..side - 1 {
             for j in 0..side - 1 {
-                for corners in [[at(i, j), at(i, j + 1), at(i + 1, j)], [at(i, j + 1), at(i + 1, j + 1), at(i + 1, j)]] {
+                for corners in [[at(i, j), at(i, j + 1), at(i + 1, j)], [at(i, j + 1), at(i + 1, j + 1), at(i + 1, j)]]
+                {
                     let rest = RestTriangle::new(corners.map(|v| rest[v as usize]), 1.0).expect("it has an area");
                     elements.push(Element { corners, rest });
                 }
             }
         }
-        let mut x: Vec<DVec2> = rest.iter().map(|p| DVec2::new(2.0 * p.x + 0.3 * p.y, 0.5 * p.y) + rng.point(0.1)).collect();
+        let mut x: Vec<DVec2> =
+            rest.iter().map(|p| DVec2::new(2.0 * p.x + 0.3 * p.y, 0.5 * p.y) + rng.point(0.1)).collect();
         let free: Vec<u32> = (1..(side * side) as u32).collect();
         let mut workspace = Workspace::default();
         let mut last = f64::INFINITY;

@@ -18,7 +18,13 @@ impl HasPosition for Site {
 ///
 /// `walls`: directed edges between points with what is filled on their left; the void is what lies to the right of the first `borders` of them, as far as it
 /// gets without crossing a wall. `None` where points coincide or walls cross.
-pub(crate) fn void_triangles(points: &[DVec2], walls: &[[u32; 2]], borders: usize, low: DVec2, high: DVec2) -> Option<Vec<[u32; 3]>> {
+pub(crate) fn void_triangles(
+    points: &[DVec2],
+    walls: &[[u32; 2]],
+    borders: usize,
+    low: DVec2,
+    high: DVec2,
+) -> Option<Vec<[u32; 3]>> {
     let corners = [low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)];
     let sites: Vec<Site> = points.iter().chain(&corners).map(|p| Site(*p)).collect();
     let n = sites.len();

@@ -72,6 +72,8 @@ fn a_job_that_kills_its_process_fails_alone_and_a_service_that_dies_counts_again
     let job = server.wait(&path);
     assert_eq!(job["error"]["code"], "internal", "{job:#}");
     assert!(job["error"]["message"].as_str().unwrap().contains("died 2 times"), "{job:#}");
+    let metrics = String::from_utf8(crate::server::bytes(&mut server.get("/metrics", &[]))).unwrap();
+    assert!(metrics.contains("\nintarsia_job_deaths_total 2\n"), "{metrics}");
 }
 
 #[cfg(target_os = "linux")]
@@ -309,23 +311,31 @@ fn a_queue_of_another_folder_or_a_damaged_one_is_refused_and_nothing_changes() {
     assert_eq!(model_of(&server, &path), model);
 }
 
+/// Loses the queue's file under a running service in the way of `lose`, and puts back what the service has saved of it.
 #[cfg(unix)]
-#[test]
-fn a_queue_that_is_removed_under_the_service_is_noticed_and_nothing_is_lost() {
+fn a_queue_lost_under_the_service(how: &str, lose: impl Fn(&Path)) {
     let data = tempfile::tempdir().unwrap();
-    let server = Server::start(data.path(), &[]);
+    let flags = ["--log-format", "json", "--log-level", "warn"];
+    let server = Server::start_with_log(data.path(), &flags);
     let path = server.accepted(&Form::sample());
     server.wait(&path);
     let waits = server.accepted(&Form::long());
     let queue = data.path().join("queue.sqlite");
-    fs::remove_file(&queue).unwrap();
+    lose(&queue);
     let mut refused = server.submit(&Form::sample());
     assert_eq!((refused.status().as_u16(), &json(&mut refused)["code"]), (503, &json!("unavailable")));
     eventually("it is noticed", || !ready(&server));
     let (_, detail) = readiness(&server);
-    assert!(detail.contains("was removed while the service runs") && detail.contains("rescued"), "{detail}");
+    assert!(detail.contains(&format!("was {how} while the service runs")) && detail.contains("rescued"), "{detail}");
     let rescued = data.path().join("queue.sqlite.rescued");
     eventually("what it held is saved", || rescued.exists());
+    let before: Vec<String> = left(data.path()).into_iter().filter(|file| file != "probe").collect();
+    std::thread::sleep(Duration::from_millis(2500));
+    assert!(before.iter().all(|file| left(data.path()).contains(file)), "nothing is removed");
+    for (part, times) in [("not ready", 1), ("what it held was written to", 1)] {
+        let told = server.log().into_iter().filter(|l| l.to_string().contains(part)).count();
+        assert_eq!(told, times, "{part}: {:#?}", server.log());
+    }
     server.kill();
     rename(&rescued, &queue);
     let server = Server::start(data.path(), &[]);
@@ -333,6 +343,49 @@ fn a_queue_that_is_removed_under_the_service_is_noticed_and_nothing_is_lost() {
     assert_eq!(json(&mut server.get(&path, &[]))["state"], "succeeded");
     assert_eq!(server.get(&format!("{path}/artifacts/model.glb"), &[]).status(), 200);
     assert_eq!(server.wait(&waits)["state"], "succeeded");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_queue_that_is_removed_under_the_service_is_noticed_and_nothing_is_lost() {
+    a_queue_lost_under_the_service("removed", |queue| fs::remove_file(queue).unwrap());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_queue_that_is_replaced_under_the_service_is_noticed_and_nothing_is_lost() {
+    a_queue_lost_under_the_service("replaced", |queue| {
+        let other = tempfile::tempdir().unwrap();
+        with_one_job(other.path());
+        fs::rename(other.path().join("queue.sqlite"), queue).unwrap();
+    });
+}
+
+#[cfg(unix)]
+#[test]
+fn a_queue_that_is_cut_short_under_the_service_is_noticed_and_nothing_is_lost() {
+    a_queue_lost_under_the_service("cut short", |queue| {
+        let length = fs::metadata(queue).unwrap().len();
+        fs::File::options().write(true).open(queue).unwrap().set_len(length / 2).unwrap();
+    });
+}
+
+#[test]
+fn a_queue_that_was_cut_short_is_not_taken_for_a_new_one() {
+    let data = tempfile::tempdir().unwrap();
+    let (path, model) = with_one_job(data.path());
+    let queue = data.path().join("queue.sqlite");
+    let whole = fs::read(&queue).unwrap();
+    // What the service wrote last stands beside it.
+    let wal = fs::read(data.path().join("queue.sqlite-wal")).unwrap();
+    assert!(!wal.is_empty());
+    fs::write(&queue, "").unwrap();
+    let said = refuses(data.path(), &[]);
+    assert!(said.contains("cut short") && said.contains("backup"), "{said}");
+    assert_eq!(fs::read(data.path().join("queue.sqlite-wal")).unwrap(), wal);
+    fs::write(&queue, whole).unwrap();
+    let server = Server::start(data.path(), &[]);
+    assert_eq!(model_of(&server, &path), model);
 }
 
 #[test]

@@ -15,17 +15,19 @@ use super::super::primitive::declared_triangles;
 use super::super::uri;
 use super::files::{Files, Forward, Stream};
 use super::sum::Sum;
-use super::tree;
+use super::{layout, tree};
 use crate::texture::{Header, probe};
 
 /// Bytes of a string at first: the head of an image in a data URI.
 const STRING: usize = 128 << 10;
 /// How often an entry of an archive is read for images that lie in each other.
 const MOST_ROUNDS: usize = 64;
+/// What the names of texture coordinates begin with.
+pub(super) const TEXCOORD: &str = "TEXCOORD_";
 
 /// A document and where its parts lie.
-struct DocumentOutline {
-    json: Value,
+pub(super) struct DocumentOutline {
+    pub(super) json: Value,
     /// Where the binary chunk of a GLB begins.
     bin: u64,
     /// Strings are cut after this many bytes.
@@ -55,15 +57,20 @@ pub(super) fn add(files: &mut Files, index: usize, container: Container, limits:
         images = draft.images(index, files);
     }
     for (image, object) in images.iter().zip(array(&draft.json, "images")) {
+        let length = draft.image_length(object, index, files);
         // Files of the upload are counted as such.
         if let Some(header) = image
             && object.get("uri").and_then(Value::as_str).is_none_or(uri::is_data)
         {
-            sum.image(*header, limits);
+            sum.image(*header, length, limits);
         }
-        sum.gathered += draft.image_length(object, index, files);
+        sum.encoded += length;
     }
     draft.geometry(index, files, sum);
+    match layout::covered(&draft, index, files) {
+        Some(covered) => sum.covered += covered,
+        None => sum.is_unmeasured = true,
+    }
 }
 
 /// Where the JSON of a GLB begins, its length, and where the binary chunk begins.
@@ -75,7 +82,7 @@ fn chunks(file: &mut dyn Forward) -> Option<(u64, u64, u64)> {
 }
 
 impl DocumentOutline {
-    fn element<'a>(&'a self, key: &str, index: &Value) -> Option<&'a Value> {
+    pub(super) fn element<'a>(&'a self, key: &str, index: &Value) -> Option<&'a Value> {
         array(&self.json, key).get(number(index)?)
     }
 
@@ -138,7 +145,7 @@ impl DocumentOutline {
     }
 
     /// What holds a buffer view, and where it begins there.
-    fn view(&self, view: &Value, model: usize, files: &Files) -> Option<(BufferHolder, u64)> {
+    pub(super) fn view(&self, view: &Value, model: usize, files: &Files) -> Option<(BufferHolder, u64)> {
         let view = self.element("bufferViews", view)?;
         let offset = view.get("byteOffset").and_then(whole).unwrap_or(0);
         let index = view.get("buffer")?;
@@ -170,16 +177,20 @@ impl DocumentOutline {
                 _ => Some(model),
             };
             let there = there.and_then(|f| files.known().get(f)).map_or(0, |f| f.length);
-            sum.gathered += declared.min(there);
+            sum.buffers += declared.min(there);
         }
         for view in array(&self.json, "bufferViews") {
             // Buffer views that grow when they are decoded.
             if view.get("extensions").is_some_and(|e| MESHOPT.iter().any(|name| e.get(name).is_some())) {
-                sum.gathered += view.get("byteLength").and_then(whole).unwrap_or(0);
+                sum.buffers += view.get("byteLength").and_then(whole).unwrap_or(0);
             }
         }
         let primitives = || array(&self.json, "meshes").iter().flat_map(|m| array(m, "primitives"));
         primitives().for_each(|p| sum.triangles += declared_triangles(&self.json, p));
+        sum.has_layout |= primitives().any(|p| {
+            let attributes = p.get("attributes").and_then(Value::as_object);
+            attributes.is_some_and(|a| a.keys().any(|name| name.starts_with(TEXCOORD)))
+        });
         let positions: BTreeSet<u64> =
             primitives().filter_map(|p| p.get("attributes")?.get("POSITION")?.as_u64()).collect();
         let counts =
@@ -190,7 +201,7 @@ impl DocumentOutline {
 
 /// What holds the bytes of a buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum BufferHolder {
+pub(super) enum BufferHolder {
     /// A file of the upload.
     File(usize),
     /// The data URI of a buffer.

@@ -2,6 +2,7 @@
 
 mod document;
 mod files;
+mod layout;
 mod obj;
 mod sum;
 #[cfg(test)]
@@ -19,7 +20,7 @@ use sum::Sum;
 /// What a job on one model will need. Of several models, each with the files that they share, the sums count.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Estimate {
-    /// Bytes of memory at the peak.
+    /// Bytes of memory at the peak, those of a process of its own.
     pub bytes: u64,
     /// Texels of all images.
     pub texels: u64,
@@ -27,14 +28,14 @@ pub struct Estimate {
     pub triangles: u64,
 }
 
-/// Estimates what a refinement of `model` (its name, and where it is on the disk) with the `files` that it may name will hold in
-/// memory at its peak. Files are only looked at: what is held of them is some heads and the part of a glTF JSON that tells sizes, at
-/// most a few times `max_json_bytes` for the worst. Declared sizes are clamped to `limits`, beyond which a job fails; what
-/// cannot be read counts by its length, and the job itself will tell why.
+/// Estimates what a refinement of `model` (its name, and where it is on the disk), with the `files` that it may name, will hold in
+/// memory at its peak when `threads` compute. Files are only looked at: what is held of them is some heads, the part of a glTF JSON that tells
+/// sizes (at most a few times `max_json_bytes` for the worst), and up to some 100 MB of texture coordinates. Declared sizes are clamped to
+/// `limits`, beyond which a job fails; what cannot be read counts by its length, and the job itself will tell why.
 ///
 /// # Errors
 /// `too_large` when archives unpack to more than `max_input_bytes`, and for images and triangles beyond `limits`.
-pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) -> Result<Estimate> {
+pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits, threads: usize) -> Result<Estimate> {
     let mut sum = Sum::default();
     let mut all = Files::new(std::iter::once(model).chain(files.iter().copied()), limits)?;
     sum.files += all.packed;
@@ -42,7 +43,7 @@ pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) 
     for (index, known) in all.known().iter().enumerate() {
         sum.files += known.length;
         if let Some(header) = known.image {
-            sum.image(header, limits);
+            sum.image(header, known.length, limits);
         }
         if let Some(container) = known.container {
             models.push((index, container));
@@ -53,11 +54,11 @@ pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits) 
             Container::Obj => {
                 all.open(index, |file| obj::add(file, &mut sum));
                 // Its materials may name any of the images.
-                all.known().iter().filter(|k| k.image.is_some()).for_each(|k| sum.gathered += k.length);
+                all.known().iter().filter(|k| k.image.is_some()).for_each(|k| sum.encoded += k.length);
             }
             Container::Glb | Container::Gltf => document::add(&mut all, index, container, limits, &mut sum),
         }
     }
     sum.check(limits)?;
-    Ok(sum.estimate(limits))
+    Ok(sum.estimate(limits, threads))
 }

@@ -1,61 +1,62 @@
-//! From what headers declare to bytes of memory.
+//! From what headers declare to bytes of memory: a job holds one thing after the other, and what it holds at most at once counts.
 //!
-//! The factors are upper bounds fitted to measured peaks of resident memory: 35 scans, PBR models and surfaces without images, with up to
-//! 200,000 triangles and images of up to 67 million texels (PNG of 8 and 16 bits, JPEG, KTX2), refined by `pack` and `scan`, up to
-//! 53,000 triangles by `box_cutter`, some with pictures. The estimates are above all of them, and within 2.5 times those over 100 MB. Not in
-//! them: sheets that options make larger than the input's, and `atlas.merge`, where images of one role are decoded together.
+//! Bytes of a texel follow from what is allocated, those of a triangle and of the process from measured peaks of resident memory;
+//! `tests/memory.py` holds the whole against measurements. The process itself is in it: one job more in a service needs that much less. Not
+//! in it: sheets and formats that options make larger than the input's, and `atlas.merge`, where images of one role are decoded together.
 
 use std::num::Saturating;
 
 use super::super::limits::Limits;
 use super::Estimate;
 use crate::error::{Code, Failure, Result};
-use crate::texture::Header;
+use crate::texture::{Format, Header};
 
-/// What the process takes before it reads anything, and what pictures and searches of the smallest models take.
-const BASE: f64 = 90e6;
-/// Of a byte of the files: they are held as they came.
-const FILE: f64 = 1.0;
-/// Of a byte of the buffers and encoded images that a document gathers: there, in the refined document and among the results.
-const GATHERED: f64 = 4.0;
-/// Of a texel of the largest image: owners and fill of the sheet that is baked, one slot at a time.
-const LARGEST_TEXEL: f64 = 3.0;
-/// Of a byte of the samples of the largest image: it is decoded, baked and encoded.
-const LARGEST_SAMPLE: f64 = 1.5;
-/// Of a byte of the samples of any image: its refined file is held until all are written, and may have to be lossless.
-const SAMPLE: f64 = 1.4;
-/// Of a triangle: the atlas as uploaded and as refined, topology, provenance, measures.
+/// What a process takes before it reads anything.
+const PROCESS: f64 = 19e6;
+/// The pictures of a layout before and after: 2048 x 2048 samples of six bytes each, and their pixels.
+const PICTURES: f64 = 60e6;
+/// Of a triangle with a layout: the atlas as uploaded and as refined, topology, provenance, measures.
 const TRIANGLE: f64 = 1000.0;
+/// Of a triangle without.
+const BARE_TRIANGLE: f64 = 400.0;
+/// Texels that a thread bakes at a time, and what it holds of each: owner, distance, and what fits it to the uploaded image.
+const BAND: (u64, f64) = (1 << 18, 40.0);
+/// Texels of the refined pages, of those of the upload: at most so many; where the area of the charts is known, that area times the second
+/// number and the third.
+const PAGE: (f64, f64, f64) = (0.95, 2.1, 0.12);
 
 /// What the files of a model declare.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Sum {
     /// Bytes of files, archives and what is in them.
     pub(super) files: Saturating<u64>,
-    /// Bytes of buffers and encoded images, as often as they are copied.
-    pub(super) gathered: Saturating<u64>,
+    /// Bytes of buffers.
+    pub(super) buffers: Saturating<u64>,
+    /// Bytes of encoded images, as often as they are copied.
+    pub(super) encoded: Saturating<u64>,
     /// Triangles of all models.
     pub(super) triangles: Saturating<u64>,
     /// Vertices of all models.
     pub(super) vertices: Saturating<u64>,
+    /// Whether anything has texture coordinates.
+    pub(super) has_layout: bool,
+    /// What the charts of all models cover, in sheets.
+    pub(super) covered: f64,
+    /// Whether there are charts of which that is not known.
+    pub(super) is_unmeasured: bool,
     texels: Saturating<u64>,
-    samples: Saturating<u64>,
-    largest_texels: u64,
-    largest_samples: u64,
+    /// By image: its header and the bytes of its file.
+    images: Vec<(Header, u64)>,
     largest_declared: u64,
 }
 
 impl Sum {
-    /// An image, which is not decoded beyond the limit.
-    pub(super) fn image(&mut self, header: Header, limits: &Limits) {
-        let declared = u64::from(header.width) * u64::from(header.height);
+    /// An image whose file has `length` bytes; it is not decoded beyond the limit.
+    pub(super) fn image(&mut self, header: Header, length: u64, limits: &Limits) {
+        let declared = texels(header);
         self.largest_declared = self.largest_declared.max(declared);
-        let texels = declared.min(limits.max_image_pixels);
-        let samples = texels.saturating_mul(u64::from(header.channels) * u64::from(header.depth / 8));
-        self.texels += texels;
-        self.samples += samples;
-        self.largest_texels = self.largest_texels.max(texels);
-        self.largest_samples = self.largest_samples.max(samples);
+        self.texels += declared.min(limits.max_image_pixels);
+        self.images.push((header, length));
     }
 
     /// Refuses what the job would refuse.
@@ -77,20 +78,70 @@ impl Sum {
         Ok(())
     }
 
-    /// What that comes to. The loader gathers at most twice the input's limit.
-    pub(super) fn estimate(&self, limits: &Limits) -> Estimate {
+    /// What that comes to, with so many threads.
+    pub(super) fn estimate(&self, limits: &Limits, threads: usize) -> Estimate {
         let triangles = self.triangles.0.min(limits.max_triangles);
         // Three vertices of its own are the most that a triangle has.
-        let surface = triangles.max(self.vertices.0.min(limits.max_input_bytes) / 3);
-        let parts = [
-            (FILE, self.files.0),
-            (GATHERED, self.gathered.0.min(limits.max_input_bytes.saturating_mul(2))),
-            (LARGEST_TEXEL, self.largest_texels),
-            (LARGEST_SAMPLE, self.largest_samples),
-            (SAMPLE, self.samples.0),
-            (TRIANGLE, surface),
-        ];
-        let bytes = BASE + parts.iter().map(|(factor, count)| factor * *count as f64).sum::<f64>();
+        let surface = triangles.max(self.vertices.0.min(limits.max_input_bytes) / 3) as f64;
+        // The loader gathers at most twice the input's limit.
+        let most = limits.max_input_bytes.saturating_mul(2);
+        let (buffers, encoded) = (self.buffers.0.min(most) as f64, self.encoded.0.min(most) as f64);
+        // Files are held as they came, and what the document gathers of them.
+        let held = PROCESS + self.files.0 as f64 + buffers + encoded;
+        // Charts without any area are left as they are.
+        let is_refined = self.has_layout && (self.is_unmeasured || self.covered > 0.0);
+        let bytes = if is_refined {
+            let held = held + TRIANGLE * surface;
+            let baking = self.images.iter().map(|(header, _)| self.baking(*header, threads)).fold(0.0, f64::max);
+            let page = self.page();
+            let written: f64 = self.images.iter().map(|(header, length)| written(*header, *length, page)).sum();
+            // One slot at a time is baked, and its files are held until all are. Then they are in the document, in the GLB and beside it, while
+            // pictures are drawn; at the end they are in the archive twice more.
+            let phases = [baking + written, PICTURES + buffers + 4.0 * written, 2.0 * buffers + 6.0 * written];
+            held + phases.into_iter().fold(0.0, f64::max)
+        } else {
+            held + 2.0 * buffers + BARE_TRIANGLE * surface
+        };
         Estimate { bytes: bytes as u64, texels: self.texels.0, triangles }
     }
+
+    /// Texels of a refined page, of those of the upload.
+    fn page(&self) -> f64 {
+        let (most, factor, least) = PAGE;
+        if self.is_unmeasured { most } else { (factor * self.covered + least).min(most) }
+    }
+
+    /// What baking one image takes: the image, its page with a byte of state for each texel, the pyramid that fills the page (a third as many
+    /// texels, of floats and a weight), and the bands of the threads.
+    fn baking(&self, header: Header, threads: usize) -> f64 {
+        let (count, channels) = (texels(header), f64::from(header.channels));
+        let page = self.page() * count as f64;
+        let bands = (count / BAND.0).clamp(1, threads.max(1) as u64) * BAND.0;
+        let band = BAND.1 * bands.min(count) as f64;
+        samples(header) + page * (texel_bytes(header) + 1.0 + 4.0 * (channels + 1.0) / 3.0) + band
+    }
+}
+
+fn texels(header: Header) -> u64 {
+    u64::from(header.width) * u64::from(header.height)
+}
+
+fn texel_bytes(header: Header) -> f64 {
+    f64::from(header.channels) * f64::from(header.depth / 8)
+}
+
+fn samples(header: Header) -> f64 {
+    texels(header) as f64 * texel_bytes(header)
+}
+
+/// Bytes of the refined file of an image: as large as the uploaded one, more where that was compressed harder than ours will be (palettes, a
+/// low quality, Basis Universal), and at most as large as the samples of its page.
+fn written(header: Header, length: u64, page: f64) -> f64 {
+    let (samples, length) = (samples(header), length as f64);
+    let bytes = match header.format {
+        Format::Png => 1.1 * length + (0.1 * samples).min(8.0 * length),
+        Format::Jpeg => 2.0 * length + 0.02 * samples,
+        Format::Webp | Format::Ktx2 => 0.6 * samples,
+    };
+    bytes.min(1.01 * page * samples)
 }

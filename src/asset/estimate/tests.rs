@@ -24,7 +24,7 @@ fn of(files: &[(&str, &[u8])], limits: &Limits) -> Result<Estimate> {
         })
         .collect();
     let all: Vec<(&str, &Path)> = stored.iter().map(|(name, path)| (*name, path.as_path())).collect();
-    estimate(all[0], &all[1..], limits)
+    estimate(all[0], &all[1..], limits, 2)
 }
 
 fn estimated(files: &[(&str, &[u8])]) -> Estimate {
@@ -177,6 +177,79 @@ fn faces_of_an_obj_are_counted() {
 }
 
 #[test]
+fn what_is_allocated_of_a_texel_and_of_its_file_is_in_it() {
+    // A header alone tells: no such image is decoded here.
+    let head = |width: u32, height: u32, kind: u8, depth: u8| {
+        let mut file = png(4, 4);
+        file[16..20].copy_from_slice(&width.to_be_bytes());
+        file[20..24].copy_from_slice(&height.to_be_bytes());
+        (file[24], file[25]) = (depth, kind);
+        file
+    };
+    let parts = json!({
+        "accessors": [{ "count": 30 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0, "TEXCOORD_0": 0 } }] }],
+    });
+    let of = |images: &[Vec<u8>]| {
+        let names: Vec<String> = (0..images.len()).map(|n| format!("{n}.png")).collect();
+        let listed: Vec<Value> = names.iter().map(|name| json!({ "uri": name })).collect();
+        let model = gltf(&Value::from(listed), parts.clone());
+        let mut files = vec![("m.gltf", &model[..])];
+        files.extend(names.iter().zip(images).map(|(name, image)| (name.as_str(), &image[..])));
+        estimated(&files).bytes as f64
+    };
+    let process = 19e6;
+    // By texel: as decoded, and of nearly as large a page its samples, a state, and a pyramid of floats with a weight a third its size.
+    for (kind, depth, samples, channels) in [(0, 8, 1.0, 1.0), (2, 8, 3.0, 3.0), (6, 8, 4.0, 4.0), (6, 16, 8.0, 4.0)] {
+        let texels = 16_000.0 * 16_000.0;
+        let held = texels * (samples + 0.9 * (samples + 1.0 + 4.0 * (channels + 1.0) / 3.0));
+        let one = of(&[head(16_000, 16_000, kind, depth)]) - process;
+        assert!(one > held && one < 1.15 * held, "{kind} {depth}: {one} of {held}");
+        // One slot is baked at a time: four of them take the room of one, and of their files.
+        let four = of(&vec![head(16_000, 16_000, kind, depth); 4]) - process;
+        assert!(four < 1.05 * one, "{kind} {depth}: {four} of {one}");
+    }
+    // A file that does not compress is in memory six times at the end, and twice as uploaded.
+    let noise = [head(3300, 3300, 2, 8), vec![7; 3 * 3300 * 3300]].concat();
+    let copies = (of(std::slice::from_ref(&noise)) - process) / noise.len() as f64;
+    assert!(copies > 7.5 && copies < 8.5, "{copies}");
+}
+
+#[test]
+fn the_charts_of_a_document_are_measured_where_they_can_be_read() {
+    let file = File { path: "m.glb".into(), bytes: sample::made("scan").to_vec() };
+    let (mut document, _) = load(&[file], None, &Limits::default()).unwrap();
+    let mut image = png(4, 4);
+    image[16..24].copy_from_slice(&[0, 0, 0x20, 0, 0, 0, 0x20, 0]);
+    document.images.iter_mut().for_each(|own| *own = Some(image.clone()));
+    let of = |document: &crate::asset::Document| estimated(&[("m.glb", &document.to_glb().unwrap())]).bytes;
+    let plain = of(&document);
+    // Under an extension that gives coordinates another meaning, they may cover everything.
+    document.json["extensionsUsed"] = json!(["KHR_texture_transform"]);
+    assert!(of(&document) > plain + 10_000_000);
+}
+
+#[test]
+fn charts_that_cover_little_of_their_sheet_need_less() {
+    let mut image = png(4, 4);
+    image[16..24].copy_from_slice(&[0, 0, 0x20, 0, 0, 0, 0x20, 0]);
+    let of = |side: f64| {
+        let text = format!(
+            "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt {side} 0\nvt {side} {side}\nvt 0 {side}\n\
+             usemtl a\nf 1/1 2/2 \\\n 3/3 4/-1\n"
+        );
+        estimated(&[("m.obj", text.as_bytes()), ("m.mtl", b"newmtl a\nmap_Kd a.png\n"), ("a.png", &image)]).bytes
+    };
+    let (texels, [none, little, half, all]) = (8192u64 * 8192, [0.0, 0.1, 0.5, 1.0].map(of));
+    assert!(none < little && little < half && half < all);
+    // The image is decoded whatever is made of it.
+    assert!(little > 3 * texels && all > 2 * little, "{little} {all}");
+    assert!(none < 25_000_000, "nothing is made of charts without area: {none}");
+    let bare = estimated(&[("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")]).bytes;
+    assert!(bare < 25_000_000, "nothing is drawn of what has no layout: {bare}");
+}
+
+#[test]
 fn what_is_cut_short_or_broken_counts_by_its_length() {
     let model = sample::made("two_materials").to_vec();
     let archive = zip(&[("m.glb", &model)]);
@@ -191,7 +264,7 @@ fn what_is_cut_short_or_broken_counts_by_its_length() {
         assert_eq!(estimated(&[("m.gltf", bad)]).texels, 0);
     }
     let missing = Path::new("/nowhere/at/all");
-    assert_eq!(estimate(("m.glb", missing), &[], &Limits::default()).unwrap().triangles, 0);
+    assert_eq!(estimate(("m.glb", missing), &[], &Limits::default(), 2).unwrap().triangles, 0);
     // As the loader takes it: the last of two keys counts, and what is of the wrong type is passed over.
     let twice = br#"{"images": [], "extra": {"images": 1}, "images": [7, {"uri": 5}, {"uri": "a.png"}]}"#;
     assert_eq!(estimated(&[("m.gltf", twice), ("a.png", &png(8, 8))]).texels, 64);

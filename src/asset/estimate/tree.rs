@@ -8,9 +8,10 @@ use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess,
 use serde_json::{Map, Value};
 
 use super::super::extensions::MESHOPT;
+use super::document::TEXCOORD;
 
 /// Keys of objects that are kept, wherever they stand.
-const KEYS: [&str; 19] = [
+const KEYS: [&str; 23] = [
     "accessors",
     "attributes",
     "buffer",
@@ -19,14 +20,18 @@ const KEYS: [&str; 19] = [
     "buffers",
     "byteLength",
     "byteOffset",
+    "byteStride",
+    "componentType",
     "count",
     "extensions",
+    "extensionsUsed",
     "images",
     "indices",
     "meshes",
     "mode",
     "POSITION",
     "primitives",
+    "sparse",
     "uri",
     MESHOPT[0],
     MESHOPT[1],
@@ -101,7 +106,7 @@ impl<'de> Visitor<'de> for Kept<'_> {
     fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Value, A::Error> {
         let mut kept = Map::new();
         while let Some(key) = entries.next_key::<String>()? {
-            if KEYS.contains(&key.as_str()) {
+            if KEYS.contains(&key.as_str()) || key.starts_with(TEXCOORD) {
                 kept.insert(key, entries.next_value_seed(self)?);
             } else {
                 entries.next_value::<IgnoredAny>()?;

@@ -1,14 +1,22 @@
 //! A surface, cut open and laid into the plane: what the search works on.
 
+use std::f64::consts::PI;
+
 use glam::DVec2;
 
-use crate::atlas::{Atlas, FaceId, HalfEdge, Mesh, UvId};
+use crate::atlas::{Atlas, FaceId, HalfEdge, Mesh, UvId, VertexId};
 use crate::numeric::dirichlet::RestTriangle;
 use crate::numeric::newton::{self, Element, Workspace};
 use crate::numeric::scaffold::void_triangles;
 
 /// Energy of all void triangles together, in parts of that of an isometry of the whole surface (Jiang et al. 2017 take a hundredth).
 const VOID_ENERGY: f64 = 0.01;
+/// Height in mean edges below which a void triangle wants to be higher.
+const NARROWEST: f64 = 0.1;
+/// How much higher such a triangle wants to be, as a factor: more, and a new cut would tear at its sides.
+const WIDENED: f64 = 2.0;
+/// Least part of the vertices from which on all move in a local step.
+const MOST_LOCAL: f64 = 0.67;
 
 /// A piece of a surface and its map. Lengths are such that the surface's area is pi, so that seam lengths are E_s (eq. 4) and energies E_d (eq. 5).
 #[derive(Debug, Clone)]
@@ -27,6 +35,8 @@ pub(super) struct CutMap {
     pub bijective: bool,
     workspace: Room<Workspace>,
     marks: Room<Marks>,
+    /// Vertices that the last step moved.
+    moved: usize,
 }
 
 /// Room to work in, which is no part of the value: a copy has its own.
@@ -97,14 +107,24 @@ impl CutMap {
         let rest: Vec<RestTriangle> = rest.collect::<Option<_>>()?;
         let mesh = Mesh::new(atlas);
         let cost = mesh.topology().half_edges().map(|h| {
-            let [a, b] = mesh.surface_ends(h).map(VertexIndex::index);
+            let [a, b] = mesh.surface_ends(h).map(VertexId::index);
             let at = |v: usize| mesh.atlas().surface.positions[v];
             let weight = weights.map_or(1.0, |w| 0.5 * (w[a] + w[b]));
             at(a).distance(at(b)) * weight
         });
         let cost = cost.collect();
         let x = mesh.atlas().uv.clone();
-        let mut map = CutMap { mesh, x, rest, cost, borders: Vec::new(), bijective, workspace: Room::default(), marks: Room::default() };
+        let mut map = CutMap {
+            mesh,
+            x,
+            rest,
+            cost,
+            borders: Vec::new(),
+            bijective,
+            workspace: Room::default(),
+            marks: Room::default(),
+            moved: 0,
+        };
         map.find_borders();
         Some(map)
     }
@@ -120,6 +140,28 @@ impl CutMap {
         let topology = self.mesh.topology();
         let seams = self.borders.iter().filter(|h| topology.surface_twin(**h).is_some_and(|t| t > **h));
         seams.map(|h| self.cost[h.index()]).sum()
+    }
+
+    /// Length of all seams, whatever they cost.
+    pub fn unweighted_seam_length(&self) -> f64 {
+        let topology = self.mesh.topology();
+        let seams = self.borders.iter().filter(|h| topology.surface_twin(**h).is_some_and(|t| t > **h));
+        seams.map(|h| self.edge_length(*h)).sum()
+    }
+
+    /// Length of an edge on the surface.
+    pub fn edge_length(&self, h: HalfEdge) -> f64 {
+        let [a, b] = self.mesh.surface_ends(h).map(|v| self.mesh.atlas().surface.positions[v.index()]);
+        a.distance(b)
+    }
+
+    /// The Atlas with its UVs where they lie.
+    pub fn into_atlas(self) -> Atlas {
+        let mut mesh = self.mesh;
+        for (u, at) in self.x.iter().enumerate() {
+            mesh.move_uv(UvId::new(u), *at);
+        }
+        mesh.into_atlas()
     }
 
     /// E_d.
@@ -167,6 +209,11 @@ impl CutMap {
         self.mesh.corners_of(uv).any(|c| topology.is_border(c) || topology.is_border(c.previous()))
     }
 
+    /// How many vertices the last step moved.
+    pub fn moved(&self) -> usize {
+        self.moved
+    }
+
     /// The other end of a half edge.
     pub fn end(&self, h: HalfEdge) -> UvId {
         self.mesh.uv_at(h.next())
@@ -174,7 +221,7 @@ impl CutMap {
 
     /// One Newton step of the whole map; gives E_d before and after with what the void costs, and how far it went.
     pub fn global_step(&mut self) -> Option<newton::Step> {
-        let mut elements: Vec<Element> = self.mesh.atlas().faces().map(|f| self.element(f)).collect();
+        let elements: Vec<Element> = self.mesh.atlas().faces().map(|f| self.element(f)).collect();
         let mut free = vec![false; self.x.len()];
         elements.iter().flat_map(|e| e.corners).for_each(|v| free[v as usize] = true);
         let mut free: Vec<u32> = (0..free.len() as u32).filter(|v| free[*v as usize]).collect();
@@ -185,14 +232,7 @@ impl CutMap {
         }
         // Nothing else holds it.
         free.remove(0);
-        elements.shrink_to_fit();
         newton::step(&mut self.x, &elements, &free, &mut self.workspace)
-    }
-
-    /// Whether the borders cross nowhere.
-    pub fn is_clear(&self) -> bool {
-        let mut map = self.clone();
-        map.global_step().is_some()
     }
 
     /// One Newton step of the vertices within `rings` edges of some.
@@ -212,10 +252,12 @@ impl CutMap {
                 }
             }
         }
-        if reached.len() * 3 > self.x.len() * 2 {
+        if reached.len() as f64 > MOST_LOCAL * self.x.len() as f64 {
+            self.moved = self.x.len();
             return self.global_step();
         }
         reached.sort_unstable();
+        self.moved = reached.len();
         let mut faces: Vec<FaceId> = Vec::with_capacity(3 * reached.len());
         for &u in &reached {
             for c in self.mesh.corners_of(UvId(u)) {
@@ -263,7 +305,14 @@ impl CutMap {
     }
 
     /// A step with the void about the elements triangulated.
-    fn step_in_void(&mut self, mut elements: Vec<Element>, free: &[u32], walls: Vec<[u32; 2]>, borders: usize, margin: f64) -> Option<newton::Step> {
+    fn step_in_void(
+        &mut self,
+        mut elements: Vec<Element>,
+        free: &[u32],
+        walls: Vec<[u32; 2]>,
+        borders: usize,
+        margin: f64,
+    ) -> Option<newton::Step> {
         let mut points: Vec<u32> = walls.iter().flatten().copied().collect();
         points.sort_unstable();
         points.dedup();
@@ -281,7 +330,9 @@ impl CutMap {
         let n = self.x.len();
         self.x.extend([low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)]);
         let weight = VOID_ENERGY / self.borders.len() as f64;
-        let least = std::env::var("GAP").ok().map_or(0.1, |g| g.parse::<f64>().unwrap()) * (2.31 * std::f64::consts::PI / self.rest.len() as f64).sqrt();
+        // Of equilateral triangles, these would be the edges.
+        let edge = (4.0 / 3.0_f64.sqrt() * PI / self.rest.len() as f64).sqrt();
+        let least = NARROWEST * edge;
         let is_free = |v: u32| free.binary_search(&v).is_ok();
         for t in air {
             let corners = t.map(|v| points.get(v as usize).copied().unwrap_or((n + v as usize - points.len()) as u32));
@@ -307,8 +358,7 @@ fn raised(triangle: [DVec2; 3], least: f64) -> [DVec2; 3] {
     let length = lengths[k].sqrt();
     let normal = (b - a).perp() / length;
     let height = normal.dot(c - a);
-    let grow = std::env::var("GROW").ok().map_or(2.0, |g| g.parse::<f64>().unwrap());
-    let wanted = least.min(grow * height);
+    let wanted = least.min(WIDENED * height);
     if !(height < wanted) {
         return triangle;
     }
@@ -316,5 +366,3 @@ fn raised(triangle: [DVec2; 3], least: f64) -> [DVec2; 3] {
     out[(k + 2) % 3] = c + normal * (wanted - height);
     out
 }
-
-use crate::atlas::VertexId as VertexIndex;

@@ -4,9 +4,14 @@
 //! ([`solver`]), from the uploaded charts where these are to be polished ([`uploaded`]); the charts of all are packed ([`assemble`]).
 
 mod assemble;
+mod cut_map;
+mod operations;
 pub mod params;
 mod pieces;
+mod search;
 mod solver;
+mod start;
+mod stencil;
 #[cfg(test)]
 mod tests;
 mod uploaded;

@@ -108,7 +108,8 @@ impl CutMap {
     /// Pulls groups apart, each towards the middle of its own ring, far enough to leave a gap.
     fn pulled_apart(&self, groups: &[Group<'_>], part: f64) -> Vec<DVec2> {
         let towards = |group: &Group<'_>| {
-            let ring = group.corners.iter().flat_map(|c| [c.next(), c.previous()]).map(|c| self.x[self.mesh.uv_at(c).index()]);
+            let ring =
+                group.corners.iter().flat_map(|c| [c.next(), c.previous()]).map(|c| self.x[self.mesh.uv_at(c).index()]);
             let mean = ring.sum::<DVec2>() / (2 * group.corners.len()) as f64;
             group.from + part * (mean - group.from)
         };
@@ -127,7 +128,14 @@ impl CutMap {
         None
     }
 
-    fn finished(&self, operation: Operation, seam: f64, groups: &[Group<'_>], mut stencil: Stencil, before: f64) -> Option<Candidate> {
+    fn finished(
+        &self,
+        operation: Operation,
+        seam: f64,
+        groups: &[Group<'_>],
+        mut stencil: Stencil,
+        before: f64,
+    ) -> Option<Candidate> {
         stencil.minimise();
         let energy = stencil.face_energy() - before;
         let places = groups.iter().zip(&stencil.x).map(|(g, x)| (g.corners[0], *x)).collect();
@@ -233,7 +241,9 @@ impl CutMap {
             return;
         }
         let n = fan.corners.len();
-        out.extend((0..n).flat_map(|i| (i + 1..n).map(move |k| (i, k))).filter_map(|(i, k)| self.interior_split(&fan, i, k)));
+        out.extend(
+            (0..n).flat_map(|i| (i + 1..n).map(move |k| (i, k))).filter_map(|(i, k)| self.interior_split(&fan, i, k)),
+        );
     }
 
     fn interior_split(&self, fan: &Fan, i: usize, k: usize) -> Option<Candidate> {

@@ -1,20 +1,21 @@
 //! The search for short seams within a bound on the distortion.
 //!
-//! [`Search::run`] with `paper` is Algorithm 1. Without it, the same operations are used in another order: cut where that pays most until the bound holds
+//! [`Search::run_as_published`] is Algorithm 1. [`Search::run`] uses the same operations in another order: cut where that pays most until the bound holds
 //! ([`Search::descend`]), close what the bound does not need ([`Search::trim`]), and then again and again open a part of the seams and let both find
-//! a better way ([`Search::ruin`]).
+//! a better way ([`Search::improve`]).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
+use glam::DVec2;
 use rayon::prelude::*;
 
 use super::cut_map::CutMap;
 use super::operations::{Candidate, Operation};
-use super::start::Cost;
+use super::params::Quality;
+use super::start::{Cost, extremum, path_to_border};
 use crate::atlas::{HalfEdge, Mark, UvId};
 use crate::error::Result;
 use crate::numeric::newton::Step;
-use glam::DVec2;
 
 /// How far below the bound the dual aims.
 const SLACK: f64 = 1e-3;
@@ -22,6 +23,17 @@ const SLACK: f64 = 1e-3;
 const RINGS: usize = 6;
 /// Part of the border vertices that are asked for splits, as an exponent (section 5.3).
 const BORDER_PART: f64 = 0.8;
+/// Work of opening seams again, in parts of the work before: `balanced` takes so much for one face, and less the more there are.
+const BALANCED: f64 = 3000.0;
+/// The same for `best`, whatever the size.
+const BEST: f64 = 4.0;
+/// How much estimates are shaken while seams are cut again.
+const NOISE: f64 = 0.5;
+/// Seams that get longer than this while they are cut again are given up.
+const LONGER: f64 = 1.03;
+/// Most cuts to extrema, and how near the bound they lead: beyond, local operations are better.
+const EXTREMA: usize = 500;
+const NEARLY: f64 = 0.1;
 
 /// A map that was visited.
 #[derive(Debug, Clone)]
@@ -57,12 +69,8 @@ pub(super) struct Search<'a> {
     pub best: Option<Visited>,
     interrupt: &'a (dyn Fn() -> Result<bool> + Sync),
     pub interrupted: bool,
-    pub steps: u64,
-    pub local_steps: u64,
-    pub undone: u64,
-    pub queries: u64,
-    pub trace: bool,
-    pub times: [f64; 6],
+    /// Vertices that were moved, over all steps.
+    pub work: u64,
     /// Until which round an operation is not to be tried.
     tabu: BTreeMap<Operation, u64>,
     round: u64,
@@ -83,12 +91,7 @@ impl<'a> Search<'a> {
             best: None,
             interrupt,
             interrupted: false,
-            steps: 0,
-            local_steps: 0,
-            undone: 0,
-            queries: 0,
-            trace: false,
-            times: [0.0; 6],
+            work: 0,
             tabu: BTreeMap::new(),
             round: 0,
             known: [Vec::new(), Vec::new()],
@@ -104,12 +107,11 @@ impl<'a> Search<'a> {
 
     /// Newton steps of the whole map until they gain less than a part of the energy.
     pub fn relax(&mut self, enough: f64, most: usize) -> Result<()> {
-        let t = std::time::Instant::now();
         for _ in 0..most {
             if self.stop()? {
                 break;
             }
-            self.steps += 1;
+            self.work += self.map.x.len() as u64;
             let Some(step) = self.map.global_step() else { break };
             let now = self.map.distortion();
             let gained = self.distortion - now;
@@ -118,7 +120,6 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        self.times[0] += t.elapsed().as_secs_f64();
         Ok(())
     }
 
@@ -171,7 +172,6 @@ impl<'a> Search<'a> {
 
     /// Border splits, merges and ears, or interior splits: the operations with what each changes.
     fn operations(&mut self, interior: bool, part: f64) -> Vec<(Operation, f64, f64)> {
-        let t = std::time::Instant::now();
         let map = &self.map;
         let mut is_border = vec![false; map.x.len()];
         map.borders.iter().flat_map(|h| map.mesh.uv_ends(*h)).for_each(|u| is_border[u.index()] = true);
@@ -204,7 +204,11 @@ impl<'a> Search<'a> {
                     return (u, None);
                 }
                 let mut out = Vec::new();
-                if interior { map.interior_splits(u, &mut out) } else { map.boundary_splits(u, &mut out) }
+                if interior {
+                    map.interior_splits(u, &mut out)
+                } else {
+                    map.boundary_splits(u, &mut out)
+                }
                 let found = out.iter().map(|c| (c.operation, c.seam, c.energy)).collect();
                 (u, Some(Known { star, found }))
             })
@@ -212,7 +216,6 @@ impl<'a> Search<'a> {
         let mut out = Vec::new();
         for (u, new) in fresh {
             if let Some(new) = new {
-                self.queries += 1;
                 known[u.index()] = Some(new);
             }
             out.extend(known[u.index()].iter().flat_map(|k| k.found.iter().copied()));
@@ -229,7 +232,6 @@ impl<'a> Search<'a> {
                 *energy *= 1.0 + by * (mixed(salt ^ key(*operation)) - 0.5);
             }
         }
-        self.times[1 + usize::from(interior)] += t.elapsed().as_secs_f64();
         out
     }
 
@@ -275,23 +277,8 @@ impl<'a> Search<'a> {
             }
             tight = false;
             let Some(seed) = seed else { continue };
-            let operation = seed.operation;
-            let before = self.distortion;
             self.propagate(seed, None)?;
-            let local = self.distortion;
             self.settle()?;
-            if self.trace {
-                println!(
-                    "{:4} λ {:8.3} E_d {before:.5} {local:.5} {:.5} E_s {:.4} {operation:?} steps {} {} undone {}",
-                    self.round,
-                    self.lambda,
-                    self.distortion,
-                    self.map.seam_length(),
-                    self.steps,
-                    self.local_steps,
-                    self.undone
-                );
-            }
         }
         Ok(())
     }
@@ -303,7 +290,7 @@ impl<'a> Search<'a> {
         }
         self.relax(1e-5, 4)?;
         let mut failed = 0;
-        let mut refused: std::collections::BTreeSet<Operation> = Default::default();
+        let mut refused: BTreeSet<Operation> = BTreeSet::new();
         while failed < 4 && !self.stop()? {
             self.round += 1;
             let map = &self.map;
@@ -313,7 +300,9 @@ impl<'a> Search<'a> {
             let mut all: Vec<Candidate> = tips.par_iter().filter_map(|u| map.merge(*u)).collect();
             all.extend(map.borders.par_iter().filter_map(|h| map.ear(*h)).collect::<Vec<_>>());
             all.retain(|c| c.seam < 0.0 && !refused.contains(&c.operation));
-            let next = all.into_iter().min_by_key(|c| (Cost(if c.energy <= 0.0 { c.seam - 1e9 } else { c.energy / -c.seam }), c.operation));
+            let next = all
+                .into_iter()
+                .min_by_key(|c| (Cost(if c.energy <= 0.0 { c.seam - 1e9 } else { c.energy / -c.seam }), c.operation));
             let Some(next) = next else { break };
             let operation = next.operation;
             let saved = self.save();
@@ -351,51 +340,151 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    /// The whole search; `self.map` must be a valid map. `trials`: how often the seams are opened again.
-    pub fn run(&mut self, trials: usize) -> Result<&'static str> {
+    /// The search; the map must be valid.
+    ///
+    /// # Errors
+    /// `canceled`.
+    pub fn run(&mut self, quality: Quality) -> Result<&'static str> {
         self.relax(1e-4, 100)?;
         self.visit();
+        let trials = match quality {
+            Quality::Fast => {
+                self.cut_to_extrema()?;
+                0.0
+            }
+            Quality::Balanced => (BALANCED / self.map.rest.len() as f64).clamp(0.1, 1.5),
+            Quality::Best => BEST,
+        };
         self.lambda = (self.distortion - self.bound).max(0.0);
-        self.descend(10_000, f64::INFINITY)?;
-        if self.trace {
-            println!("descended E_d {:.5} E_s {:.4} steps {}", self.distortion, self.map.seam_length(), self.steps);
-        }
+        self.descend(usize::MAX, f64::INFINITY)?;
         self.trim()?;
         self.visit();
-        if self.trace {
-            println!("trimmed E_d {:.5} E_s {:.4} steps {}", self.distortion, self.map.seam_length(), self.steps);
+        if self.distortion > self.bound {
+            return Ok(if self.interrupted { "time_limit" } else { "no_improvement" });
         }
+        let most = self.work + (trials * self.work as f64) as u64;
+        self.improve(most)?;
+        Ok(if self.interrupted { "time_limit" } else { "done" })
+    }
+
+    /// Opens parts of the seams again and keeps what gets no longer by it, until so much work is done.
+    fn improve(&mut self, most: u64) -> Result<()> {
         let lambda = self.lambda;
         let mut current = self.map.seam_length();
-        for trial in 0..trials {
-            if self.stop()? {
-                return Ok("time_limit");
-            }
-            let saved = self.save();
+        while self.work < most && !self.stop()? {
+            let (saved, before) = (self.save(), self.work);
             self.ruin()?;
-            self.noise = (0.5, mixed_bits(self.random ^ trial as u64));
+            self.noise = (NOISE, mixed_bits(self.random));
             self.lambda = lambda * (0.2 + 0.8 * self.random());
-            self.descend(40, 1.03 * current)?;
-            self.noise = (0.0, 0);
+            self.descend(40, LONGER * current)?;
+            self.noise.0 = 0.0;
             self.trim()?;
             let seam = self.map.seam_length();
-            if self.trace {
-                println!("trial {trial} E_d {:.5} E_s {:.4} of {current:.4} steps {}", self.distortion, seam, self.steps);
-            }
             if self.distortion <= self.bound && seam <= current {
                 current = seam;
                 self.visit();
             } else {
                 self.restore(&saved);
             }
+            self.map.mesh.forget();
+            // Where nothing is left to be opened, nothing is done.
+            if self.work == before {
+                break;
+            }
         }
-        Ok("done")
+        Ok(())
+    }
+
+    /// The fast variant (section 7.3, after Gu et al. 2002): shortest cuts from the worst vertex to the border until the bound nearly holds.
+    fn cut_to_extrema(&mut self) -> Result<()> {
+        for _ in 0..EXTREMA {
+            if self.distortion <= self.bound + NEARLY || self.stop()? {
+                return Ok(());
+            }
+            let Some(path) = extremum(&self.map).and_then(|worst| path_to_border(&self.map, worst)) else {
+                return Ok(());
+            };
+            let (mut active, mut tails) = (Vec::new(), Vec::new());
+            for edge in path {
+                let Some(split) = self.map.query(Operation::BoundarySplit(edge)) else { break };
+                if self.carry_out(&split, &mut active, &mut tails).is_none() {
+                    break;
+                }
+            }
+            if active.is_empty() {
+                return Ok(());
+            }
+            self.distortion = self.map.distortion();
+            self.relax(1e-3, 4)?;
+            self.visit();
+        }
+        Ok(())
+    }
+
+    /// Algorithm 1: the dual is moved by eq. 7, the seams by whatever pays most, and both again until a state comes back.
+    ///
+    /// # Errors
+    /// `canceled`.
+    pub fn run_as_published(&mut self) -> Result<&'static str> {
+        self.relax(1e-6, 1000)?;
+        self.visit();
+        let aim = self.bound - 0.5 * SLACK;
+        let mut visited: BTreeSet<[i64; 3]> = BTreeSet::new();
+        let mut part = 0.6;
+        loop {
+            self.round += 1;
+            if self.stop()? {
+                return Ok("time_limit");
+            }
+            let last = self.lambda;
+            self.lambda = (self.lambda + self.distortion - aim).max(0.0);
+            let mut all = self.operations(false, BORDER_PART);
+            let mut seed = self.seed(&all);
+            if seed.is_none() {
+                let interior = self.operations(true, part);
+                seed = self.seed(&interior);
+                all.extend(interior);
+            }
+            if seed.is_none() {
+                self.relax(1e-7, 100)?;
+                self.visit();
+                let within = self.distortion <= self.bound && self.distortion >= self.bound - SLACK;
+                if within || (self.lambda - last).abs() < 1e-3 && self.distortion <= self.bound {
+                    return Ok("done");
+                }
+                // Eq. 7 again and again until an operation pays, in closed form.
+                let (over, shorter) = (self.distortion > self.bound, |o: &(Operation, f64, f64)| o.1 < 0.0);
+                let worth =
+                    all.iter().filter(|o| shorter(o) != over && (o.2 < 0.0) == over && o.2 != 0.0).map(|o| o.1 / -o.2);
+                let next = if over { worth.min_by_key(|r| Cost(*r)) } else { worth.max_by_key(|r| Cost(*r)) };
+                match next {
+                    Some(next) if over => self.lambda = self.lambda.max(next * 1.001),
+                    Some(next) => self.lambda = self.lambda.min(next * 0.999),
+                    None if part < 1.0 => part += 0.1,
+                    None => return Ok("no_improvement"),
+                }
+                seed = self.seed(&all);
+            }
+            if let Some(seed) = seed {
+                self.propagate(seed, None)?;
+            }
+            self.relax(1e-6, 10)?;
+            self.visit();
+            let state = [self.map.seam_length(), self.distortion, self.lambda].map(|v| (v * 1e4).round() as i64);
+            if !visited.insert(state) {
+                return Ok("cycle");
+            }
+        }
+    }
+
+    /// Rounds of choosing an operation.
+    pub fn rounds(&self) -> u64 {
+        self.round
     }
 
     /// Carries an operation on as long as that pays, in turn with steps of the positions about it (section 5.4). With `most`, whether it pays
     /// or not for so many times more.
     fn propagate(&mut self, seed: Candidate, most: Option<usize>) -> Result<()> {
-        let t = std::time::Instant::now();
         let mut next = Some(seed);
         let mut active: Vec<UvId> = Vec::new();
         let mut tails = Vec::new();
@@ -406,10 +495,6 @@ impl<'a> Search<'a> {
                 break;
             }
             let applied = next.is_some();
-            if std::env::var("CHECK").is_ok() && !self.map.is_clear() {
-                println!("not clear: {operation:?} applied before {applied} round {}", self.round);
-                std::process::exit(1);
-            }
             let step = match next.take() {
                 Some(candidate) => {
                     operation = candidate.operation;
@@ -427,22 +512,30 @@ impl<'a> Search<'a> {
                 }
             } else {
                 let delta = -self.lambda * gained;
-                let best = ways.into_iter().filter(|c| self.is_free(&c.operation)).min_by_key(|c| (Cost(c.gain(self.lambda)), c.operation));
+                let best = ways
+                    .into_iter()
+                    .filter(|c| self.is_free(&c.operation))
+                    .min_by_key(|c| (Cost(c.gain(self.lambda)), c.operation));
                 next = best.filter(|c| c.gain(self.lambda) < delta.min(0.0));
             }
-            if next.is_none() && (step.alpha == 0.0 || (!applied && gained < 1e-4 * step.alpha.max(1e-3) * step.before.max(1e-3))) {
+            if next.is_none()
+                && (step.alpha == 0.0 || (!applied && gained < 1e-4 * step.alpha.max(1e-3) * step.before.max(1e-3)))
+            {
                 break;
             }
         }
         self.distortion = self.map.distortion();
-        self.times[3] += t.elapsed().as_secs_f64();
         Ok(())
     }
 
     /// Applies an operation and takes a step about it. Where something would lie on something else, the new vertices are put closer to where they were; where that
     /// does not help, nothing is changed.
     fn carry_out(&mut self, candidate: &Candidate, active: &mut Vec<UvId>, tails: &mut Vec<UvId>) -> Option<Step> {
-        let parts: &[f64] = if matches!(candidate.operation, Operation::Merge(_) | Operation::Ear(_)) { &[1.0] } else { &[1.0, 0.2, 0.03] };
+        let parts: &[f64] = if matches!(candidate.operation, Operation::Merge(_) | Operation::Ear(_)) {
+            &[1.0]
+        } else {
+            &[1.0, 0.2, 0.03]
+        };
         for part in parts {
             let (mark, x, borders) = (self.map.mesh.mark(), self.map.x.clone(), self.map.borders.clone());
             let mut placed = candidate.clone();
@@ -465,13 +558,13 @@ impl<'a> Search<'a> {
             self.map.borders = borders;
         }
         self.tabu.insert(candidate.operation, self.round + 40);
-        self.undone += 1;
         None
     }
 
     fn local_step(&mut self, active: &[UvId]) -> Option<Step> {
-        self.local_steps += 1;
-        self.map.local_step(active, RINGS)
+        let step = self.map.local_step(active, RINGS);
+        self.work += self.map.moved() as u64;
+        step
     }
 }
 

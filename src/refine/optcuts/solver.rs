@@ -1,15 +1,16 @@
 //! One piece of a surface cut and flattened.
 
-use glam::DVec2;
+use std::f64::consts::PI;
 
-use super::params::{Quality, Search};
-use super::pieces;
-use crate::atlas::{Atlas, FaceId, HalfEdge, Topology, orientation, triangles_overlap};
-use crate::error::Result;
+use super::cut_map::CutMap;
+use super::params::{Quality, Search as Order};
+use super::search::{Search, Visited};
+use super::start;
+use crate::atlas::Atlas;
+use crate::error::{Code, Failure, Result};
 
 /// How a piece is to be solved.
 #[derive(Debug, Clone, Copy)]
-#[expect(dead_code, reason = "nothing is searched for yet")]
 pub(super) struct Settings {
     /// Bound on the mean symmetric Dirichlet energy.
     pub bound: f64,
@@ -18,7 +19,7 @@ pub(super) struct Settings {
     /// How much is tried.
     pub quality: Quality,
     /// How cuts are searched for.
-    pub search: Search,
+    pub search: Order,
     /// Whether the layout of the piece is where the search starts.
     pub polish: bool,
     /// Seed of every random choice.
@@ -44,6 +45,11 @@ pub(super) struct Solution {
     pub work: u64,
 }
 
+/// What a vertex counts where seams are forbidden: so much that all ways about are shorter, and still a number.
+const FORBIDDEN: f64 = 1e4;
+/// How good a start must be, as E_d of its Tutte embedding, by the number of the start: the surface is cut until it is.
+const STARTS: [f64; 3] = [200.0, 20.0, 2000.0];
+
 /// Cuts and flattens a piece.
 ///
 /// `piece` is one connected, edge- and vertex-manifold, consistently wound surface without degenerate faces; with a layout where the
@@ -52,61 +58,68 @@ pub(super) struct Solution {
 /// often: an error is cancellation, `true` means to stop now with the best.
 ///
 /// # Errors
-/// `canceled`.
+/// `canceled`; `internal` where no map can be found to start from.
 pub(super) fn solve(
-    piece: Atlas,
-    _weights: Option<&[f64]>,
+    mut piece: Atlas,
+    weights: Option<&[f64]>,
     settings: &Settings,
     interrupt: &(dyn Fn() -> Result<bool> + Sync),
 ) -> Result<Solution> {
-    let atlas = unfolded(&piece, interrupt)?;
-    let seam_length = pieces::seam_length(&atlas);
-    let bound_met = settings.bound > 4.0;
-    Ok(Solution { atlas, distortion: 4.0, seam_length, bound_met, stopped_by: "done", iterations: 0, work: 1 })
-}
-
-/// Faces of a chart at most: each new one is held against all others.
-const LARGEST: usize = 200;
-
-/// Trees of faces, each unfolded as far as it does not meet itself.
-fn unfolded(piece: &Atlas, interrupt: &(dyn Fn() -> Result<bool> + Sync)) -> Result<Atlas> {
-    let mut atlas = pieces::all_apart(piece);
-    let topology = Topology::new(&atlas);
-    let mut done = vec![false; atlas.face_count()];
-    for seed in atlas.faces() {
-        if std::mem::replace(&mut done[seed.index()], true) {
+    let positions = piece.surface.positions.clone();
+    let area: f64 = piece.faces().map(|f| piece.area(f)).sum();
+    let scale = (PI / area).sqrt();
+    piece.surface.positions.iter_mut().for_each(|p| *p *= scale);
+    piece.uv.iter_mut().for_each(|p| *p *= scale);
+    let weights: Option<Vec<f64>> = weights.map(|own| own.iter().map(|w| w.clamp(1.0, FORBIDDEN)).collect());
+    let starts = if settings.polish { 1 } else { starts(settings.quality) };
+    let mut best: Option<Visited> = None;
+    let (mut iterations, mut work) = (0, 0);
+    let mut stopped_by = "done";
+    for k in 0..starts {
+        let none = || Failure::new(Code::Internal, "no map of this surface could be found to start from");
+        let Some(mut map) = CutMap::new(piece.clone(), weights.as_deref(), settings.bijective) else {
+            return Err(none());
+        };
+        if !settings.polish && start::embed(&mut map, STARTS[k], interrupt)?.is_none() {
+            if k + 1 == starts && best.is_none() {
+                return Err(none());
+            }
             continue;
         }
-        interrupt()?;
-        let mut chart = vec![seed];
-        let mut next = 0;
-        while let Some(face) = chart.get(next).copied() {
-            next += 1;
-            for h in [0, 1, 2].map(|k| HalfEdge::of(face, k)) {
-                let Some(twin) = topology.surface_twin(h).filter(|t| !done[t.face().index()]) else { continue };
-                let own = atlas.uv_triangle(twin.face());
-                let uv = |k: usize| atlas.corners[face.index()][k];
-                let [a, b] = [uv(h.end_corner()), uv(h.corner())];
-                let [p, q] = [a, b].map(|u| atlas.uv[u.index()]);
-                let from = own[twin.end_corner()] - own[twin.corner()];
-                let turn = (q - p).rotate(DVec2::new(from.x, -from.y)) / from.length_squared();
-                let apex = 3 - twin.corner() - twin.end_corner();
-                let tip = p + turn.rotate(own[apex] - own[twin.corner()]);
-                let placed = [p, q, tip];
-                let meets = |g: &FaceId| triangles_overlap(&placed, &atlas.uv_triangle(*g));
-                if chart.len() >= LARGEST || orientation(p, q, tip) <= 0 || chart.iter().any(meets) {
-                    continue;
-                }
-                let corners = &mut atlas.corners[twin.face().index()];
-                let third = corners[apex];
-                (corners[twin.corner()], corners[twin.end_corner()]) = (a, b);
-                atlas.uv[third.index()] = tip;
-                done[twin.face().index()] = true;
-                chart.push(twin.face());
-            }
+        let mut search = Search::new(map, settings.bound, settings.seed ^ ((k as u64) << 32), interrupt);
+        stopped_by = match settings.search {
+            Order::Paper => search.run_as_published()?,
+            Order::Default => search.run(settings.quality)?,
+        };
+        iterations += search.rounds();
+        work += search.work;
+        let better = |a: &Visited, b: &Visited| match (a.distortion <= settings.bound, b.distortion <= settings.bound) {
+            (true, true) => a.seam < b.seam,
+            (false, false) => a.distortion < b.distortion,
+            (met, _) => met,
+        };
+        if let Some(found) = search.best.take().filter(|found| best.as_ref().is_none_or(|b| better(found, b))) {
+            best = Some(found);
+        }
+        if search.interrupted {
+            break;
         }
     }
-    atlas.drop_unused_uvs();
-    pieces::face_up(&mut atlas, 1.0);
-    Ok(atlas)
+    let Some(Visited { map, seam: _, distortion }) = best else {
+        return Err(Failure::new(Code::Internal, "no map of this surface could be found to start from"));
+    };
+    let seam_length = map.unweighted_seam_length() / scale;
+    let mut atlas = map.into_atlas();
+    atlas.surface.positions = positions;
+    atlas.uv.iter_mut().for_each(|p| *p /= scale);
+    let bound_met = distortion <= settings.bound;
+    Ok(Solution { atlas, distortion, seam_length, bound_met, stopped_by, iterations, work })
+}
+
+/// How many starts there are.
+fn starts(quality: Quality) -> usize {
+    match quality {
+        Quality::Fast | Quality::Balanced => 1,
+        Quality::Best => STARTS.len(),
+    }
 }

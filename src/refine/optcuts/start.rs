@@ -1,16 +1,19 @@
 //! A first map of a surface of any topology (section 6.2): cut open until it is a disk with holes, then Tutte's embedding.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use glam::DVec2;
 
 use super::cut_map::CutMap;
+use crate::atlas::groups::DisjointSets;
 use crate::atlas::{Charts, HalfEdge, Loops, UvId};
+use crate::error::Result;
 use crate::numeric::tutte;
 
-/// Above this E_d a map is not worth to be improved: it is cut once more instead.
-fn hopeless() -> f64 { std::env::var("HOPELESS").ok().map_or(200.0, |v| v.parse().unwrap()) }
+/// Rounds of cutting, and those after which any map will do.
+const ROUNDS: usize = 200;
+const ANY: usize = 100;
 
 /// A cost that can be ordered.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,24 +30,28 @@ impl Ord for Cost {
     }
 }
 
-/// Cuts the surface open where it must be, and embeds it. `None` where it cannot be embedded.
-pub(super) fn embed(map: &mut CutMap) -> Option<()> {
+/// Cuts the surface open where it must be, and embeds it; as long as its E_d is more than `enough`, it is cut from the border to the extremum (Gu et al. 2002)
+/// and embedded anew, which is much less work than to improve a bad map. `None` where it cannot be embedded.
+///
+/// # Errors
+/// `canceled`.
+pub(super) fn embed(map: &mut CutMap, enough: f64, interrupt: &dyn Fn() -> Result<bool>) -> Result<Option<()>> {
     cut_handles(map);
-    if map.borders.is_empty() {
-        cut_closed(map)?;
+    if map.borders.is_empty() && cut_closed(map).is_none() {
+        return Ok(None);
     }
-    for round in 0..200 {
+    for round in 0..ROUNDS {
+        let out_of_time = interrupt()?;
         if tutte(map).is_some() {
             let distortion = map.distortion();
-            if distortion < hopeless() || (round >= 100 && distortion.is_finite()) {
-                return Some(());
+            if distortion < enough || ((round >= ANY || out_of_time) && distortion.is_finite()) {
+                return Ok(Some(()));
             }
         }
-        let extremum = extremum(map)?;
-        let path = path_to_border(map, extremum)?;
+        let Some(path) = extremum(map).and_then(|worst| path_to_border(map, worst)) else { return Ok(None) };
         cut(map, &path);
     }
-    None
+    Ok(None)
 }
 
 /// Cuts along edges, leaving positions as they are.
@@ -99,7 +106,7 @@ fn cut_graph(map: &CutMap, base: UvId) -> Vec<HalfEdge> {
     let (distance, towards) = distances(map, base);
     let topology = map.mesh.topology();
     let edge = |h: HalfEdge| topology.uv_twin(h).map_or(h, |t| h.min(t));
-    let in_tree: std::collections::BTreeSet<HalfEdge> = towards.iter().flatten().map(|h| edge(*h)).collect();
+    let in_tree: BTreeSet<HalfEdge> = towards.iter().flatten().map(|h| edge(*h)).collect();
     // Largest loops are crossed first by the tree of faces.
     let mut crossing: Vec<(Cost, HalfEdge)> = topology
         .half_edges()
@@ -110,17 +117,8 @@ fn cut_graph(map: &CutMap, base: UvId) -> Vec<HalfEdge> {
         })
         .collect();
     crossing.sort_unstable();
-    let mut parts = crate::atlas::groups::DisjointSets::new(map.rest.len() + 1);
-    // All borders are one face outside.
-    let outside = map.rest.len() as u32;
-    let mut first = true;
+    let mut parts = DisjointSets::new(map.rest.len());
     let mut left = Vec::new();
-    for h in &map.borders {
-        // One border closes the outside; the others are holes, which the cut need not reach.
-        if std::mem::take(&mut first) {
-            parts.unite(outside, h.face().0);
-        }
-    }
     for (_, h) in crossing {
         let (f, g) = (h.face().0, topology.uv_twin(h).map_or(h.face().0, |t| t.face().0));
         if parts.find(f) == parts.find(g) {
@@ -129,7 +127,7 @@ fn cut_graph(map: &CutMap, base: UvId) -> Vec<HalfEdge> {
             parts.unite(f, g);
         }
     }
-    let mut graph: std::collections::BTreeSet<HalfEdge> = left.iter().copied().collect();
+    let mut graph: BTreeSet<HalfEdge> = left.iter().copied().collect();
     for h in &left {
         for mut u in map.mesh.uv_ends(*h) {
             while let Some(next) = towards[u.index()] {
@@ -192,7 +190,9 @@ pub(super) fn path_to_border(map: &CutMap, from: UvId) -> Option<Vec<HalfEdge>> 
     let (distance, towards) = distances(map, from);
     let mut is_border = vec![false; map.x.len()];
     map.borders.iter().flat_map(|h| map.mesh.uv_ends(*h)).for_each(|u| is_border[u.index()] = true);
-    let end = (0..map.x.len()).filter(|u| is_border[*u] && distance[*u].is_finite()).min_by_key(|u| (Cost(distance[*u]), *u))?;
+    let end = (0..map.x.len())
+        .filter(|u| is_border[*u] && distance[*u].is_finite())
+        .min_by_key(|u| (Cost(distance[*u]), *u))?;
     let mut path = Vec::new();
     let mut at = UvId::new(end);
     while let Some(h) = towards[at.index()] {
@@ -230,7 +230,7 @@ fn tutte(map: &mut CutMap) -> Option<()> {
     let topology = map.mesh.topology();
     let charts = Charts::new(topology);
     let loops = Loops::new(topology, &charts);
-    let length = |l: &Vec<HalfEdge>| l.iter().map(|h| edge_length(map, *h)).sum::<f64>();
+    let length = |l: &Vec<HalfEdge>| l.iter().map(|h| map.edge_length(*h)).sum::<f64>();
     let longest = (0..loops.half_edges.len()).max_by_key(|k| (Cost(length(&loops.half_edges[*k])), Reverse(*k)))?;
     let n = map.x.len();
     let mut x = vec![DVec2::ZERO; n + loops.half_edges.len()];
@@ -245,7 +245,7 @@ fn tutte(map: &mut CutMap) -> Option<()> {
     for (k, own) in loops.half_edges.iter().enumerate() {
         if k == longest {
             held[n + k] = true;
-            let lengths: Vec<f64> = own.iter().map(|h| edge_length(map, *h)).collect();
+            let lengths: Vec<f64> = own.iter().map(|h| map.edge_length(*h)).collect();
             for (h, at) in own.iter().zip(tutte::on_circle(&lengths, 1.0)) {
                 let u = map.mesh.uv_at(*h).index();
                 x[u] = at;
@@ -263,11 +263,6 @@ fn tutte(map: &mut CutMap) -> Option<()> {
     map.mesh.atlas().faces().all(|f| map.rest[f.index()].energy(map.triangle(f)).is_finite()).then_some(())
 }
 
-fn edge_length(map: &CutMap, h: HalfEdge) -> f64 {
-    let [a, b] = map.mesh.surface_ends(h).map(|v| map.mesh.atlas().surface.positions[v.index()]);
-    a.distance(b)
-}
-
 /// A picture of the surface that halves it well: its two longest extents.
 fn guide(map: &CutMap, n: usize) -> Vec<DVec2> {
     let mut guide = vec![DVec2::ZERO; n];
@@ -277,4 +272,3 @@ fn guide(map: &CutMap, n: usize) -> Vec<DVec2> {
     }
     guide
 }
-

@@ -4,7 +4,7 @@ mod migrations;
 mod rows;
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
@@ -45,21 +45,27 @@ pub struct Sqlite {
     options: SqliteConnectOptions,
     /// Which file it was when it was opened.
     file: FileId,
+    /// Bytes that it has had at least: it is never vacuumed, and so it only grows.
+    length: AtomicU64,
     /// Jobs that are expected to need no more have a slot of their own.
     small: u64,
-    /// Whether what a removed file held has been written beside it.
+    /// Whether what a lost file held has been written beside it.
     rescued: AtomicBool,
+    /// Whether it has been told that this cannot be done.
+    told: AtomicBool,
 }
 
 /// What tells a file from another of its name: volume and number, where the system has them.
 type FileId = Option<(u64, u64)>;
 
-fn file_id(path: &Path) -> std::io::Result<FileId> {
+/// Which file has a name now, and how long it is.
+fn file_id(path: &Path) -> std::io::Result<(FileId, u64)> {
     let found = std::fs::metadata(path)?;
     #[cfg(unix)]
-    return Ok(Some((std::os::unix::fs::MetadataExt::dev(&found), std::os::unix::fs::MetadataExt::ino(&found))));
+    let id = Some((std::os::unix::fs::MetadataExt::dev(&found), std::os::unix::fs::MetadataExt::ino(&found)));
     #[cfg(not(unix))]
-    Ok(found.is_file().then_some((0, 0)))
+    let id = found.is_file().then_some((0, 0));
+    Ok((id, found.len()))
 }
 
 impl Sqlite {
@@ -100,10 +106,12 @@ impl Sqlite {
         });
         let pool = pool.connect_with(options.clone()).await?;
         migrations::migrate(&pool, path, MIGRATIONS).await?;
-        let file = file_id(path).map_err(|e| disk(path, &e))?;
+        let (file, length) = file_id(path).map_err(|e| disk(path, &e))?;
         let heartbeats = options.clone().synchronous(SqliteSynchronous::Normal);
         let heartbeats = SqlitePoolOptions::new().max_connections(1).idle_timeout(None).connect_lazy_with(heartbeats);
-        Ok(Sqlite { pool, heartbeats, options, file, small: u64::MAX, rescued: AtomicBool::new(false) })
+        let (length, small) = (AtomicU64::new(length), u64::MAX);
+        let (rescued, told) = (AtomicBool::new(false), AtomicBool::new(false));
+        Ok(Sqlite { pool, heartbeats, options, file, length, small, rescued, told })
     }
 
     /// The same queue, for a service where jobs that are expected to need no more than `small` bytes have a slot of their own.
@@ -114,36 +122,37 @@ impl Sqlite {
     /// The connections for what writes: a file that is no longer the queue's would take it without complaint.
     fn pool(&self) -> Result<&SqlitePool> {
         let path = self.options.get_filename();
-        match file_id(path) {
-            Ok(found) if found == self.file => Ok(&self.pool),
-            Ok(_) => Err(unavailable(&format!(
-                "{} was replaced while the service runs: stop it, put the right file there, start it again",
-                path.display()
-            ))),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Err(unavailable(&format!(
-                "{} was removed while the service runs: stop it, rename {} to it, start it again",
+        let lost = |how: &str| {
+            let message = format!(
+                "{} was {how} while the service runs: stop it, remove that file with its -wal and -shm, rename {} to it (or put a copy from a \
+                 backup there), start it again",
                 path.display(),
                 rescue_path(path).display()
-            ))),
+            );
+            Err(unavailable(&message))
+        };
+        match file_id(path) {
+            Ok((file, _)) if file != self.file => lost("replaced"),
+            Ok((_, length)) if length < self.length.fetch_max(length, Ordering::Relaxed) => lost("cut short"),
+            Ok(_) => Ok(&self.pool),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => lost("removed"),
             Err(e) => Err(disk(path, &e)),
         }
     }
 
-    /// Writes what a file held that was removed or replaced beside its place, once.
+    /// Writes what a file held that was removed, replaced or cut short beside its place, once.
     async fn rescue(&self) {
         let to = rescue_path(self.options.get_filename());
         if !self.rescued.load(Ordering::Relaxed) {
             match migrations::copy(&self.pool, &to).await {
                 Ok(()) => {
                     self.rescued.store(true, Ordering::Relaxed);
-                    tracing::error!(
-                        "the file of the job queue is gone from its place; what it held was written to {}",
-                        to.display()
-                    );
+                    tracing::error!("the file of the job queue is lost; what it held was written to {}", to.display());
                 }
-                Err(failure) => {
-                    tracing::error!(%failure, "what the removed file of the job queue held cannot be written to {}", to.display())
+                Err(failure) if !self.told.swap(true, Ordering::Relaxed) => {
+                    tracing::error!(%failure, "what the lost file of the job queue held cannot be written to {}", to.display())
                 }
+                Err(_) => {}
             }
         }
     }
@@ -425,6 +434,7 @@ impl Queue for Sqlite {
             return Err(failure);
         }
         self.rescued.store(false, Ordering::Relaxed);
+        self.told.store(false, Ordering::Relaxed);
         // A connection of its own, which knows nothing from before.
         let mut reader = self.options.clone().read_only(true).connect().await?;
         let found = async {

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row, SqliteConnection};
 
-use crate::error::{Failure, Result};
+use crate::error::{Code, Failure, Result};
 use crate::jobs::files::{disk, sync_folder};
 
 /// The step from the schema before to that of `version`.
@@ -35,6 +35,11 @@ pub(super) async fn check(options: &SqliteConnectOptions, migrations: &[Migratio
     let path = options.get_filename();
     if !tokio::fs::try_exists(path).await.map_err(|e| disk(path, &e))? {
         return Ok(());
+    }
+    // SQLite takes an empty file for a new database, and removes what is beside it: that may be all that is left of the queue.
+    let length = async |path: &Path| tokio::fs::metadata(path).await.map_or(0, |found| found.len());
+    if length(path).await == 0 && length(&beside(path, "-wal")).await > 0 {
+        return Err(Failure::new(Code::Unavailable, "the file of the job queue was cut short"));
     }
     let mut reader = options.clone().create_if_missing(false).read_only(true).connect().await?;
     let version = version(&mut reader).await?;
