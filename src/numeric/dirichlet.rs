@@ -43,10 +43,7 @@ impl RestTriangle {
     pub fn energy(&self, x: [DVec2; 3]) -> f64 {
         let j = self.jacobian(x);
         let det = j.determinant();
-        if !(det > 0.0) {
-            return f64::INFINITY;
-        }
-        self.weight * squares(&j) * (1.0 + 1.0 / (det * det))
+        if det > 0.0 { self.weight * squares(&j) * (1.0 + 1.0 / (det * det)) } else { f64::INFINITY }
     }
 
     /// The weighted energy and its gradient by corner. Only where the map is injective.
@@ -267,9 +264,9 @@ mod tests {
             for row in a.iter_mut().chain(&mut v) {
                 (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
             }
-            for k in 0..4 {
-                (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
-            }
+            let (row_p, row_q) = (a[p], a[q]);
+            a[p] = std::array::from_fn(|k| c * row_p[k] - s * row_q[k]);
+            a[q] = std::array::from_fn(|k| s * row_p[k] + c * row_q[k]);
         }
         let mut out = [[0.0; 4]; 4];
         for n in 0..16 {

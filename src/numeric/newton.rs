@@ -85,7 +85,7 @@ pub(crate) fn step(x: &mut [DVec2], elements: &[Element], free: &[u32], workspac
     let hessian = |e: u32| elements[e as usize].rest.projected_hessian(elements[e as usize].at(x));
     while !structure.factor(ridge, hessian, factor) {
         ridge *= 100.0;
-        if !(ridge < 1e9) {
+        if ridge.is_nan() || ridge > 1e9 {
             return None;
         }
     }
@@ -100,7 +100,7 @@ pub(crate) fn step(x: &mut [DVec2], elements: &[Element], free: &[u32], workspac
         .fold(f64::INFINITY, f64::min);
     let mut alpha = (NEAREST * bound).min(1.0);
     let none = Step { before, after: before, alpha: 0.0, gradient };
-    if !(slope < 0.0) {
+    if slope.is_nan() || slope >= 0.0 {
         return Some(none);
     }
     for _ in 0..40 {

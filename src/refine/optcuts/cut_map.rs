@@ -359,7 +359,7 @@ fn raised(triangle: [DVec2; 3], least: f64) -> [DVec2; 3] {
     let normal = (b - a).perp() / length;
     let height = normal.dot(c - a);
     let wanted = least.min(WIDENED * height);
-    if !(height < wanted) {
+    if height.is_nan() || height >= wanted {
         return triangle;
     }
     let mut out = triangle;

@@ -75,12 +75,12 @@ pub(super) fn solve(
     let mut best: Option<Visited> = None;
     let (mut iterations, mut work) = (0, 0);
     let mut stopped_by = "done";
-    for k in 0..starts {
+    for (k, enough) in STARTS.into_iter().take(starts).enumerate() {
         let none = || Failure::new(Code::Internal, "no map of this surface could be found to start from");
         let Some(mut map) = CutMap::new(piece.clone(), weights.as_deref(), settings.bijective) else {
             return Err(none());
         };
-        if !settings.polish && start::embed(&mut map, STARTS[k], interrupt)?.is_none() {
+        if !settings.polish && start::embed(&mut map, enough, interrupt)?.is_none() {
             if k + 1 == starts && best.is_none() {
                 return Err(none());
             }

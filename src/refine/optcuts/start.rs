@@ -91,7 +91,7 @@ fn cut_handles(map: &mut CutMap) {
     let best = (0..tries)
         .map(|k| (k * n / tries) as u32)
         .map(|base| {
-            let cut = cut_graph(map, UvId(base));
+            let cut = cut_graph(map, &loops, UvId(base));
             (Cost(cut.iter().map(|h| map.cost[h.index()]).sum()), cut)
         })
         .min_by_key(|(cost, _)| *cost);
@@ -101,30 +101,34 @@ fn cut_handles(map: &mut CutMap) {
 }
 
 /// The greedy system of loops through a base point (Erickson and Whittlesey 2005), and without the tails that no loop needs: edges whose removal leaves
-/// a surface without handles in one part.
-fn cut_graph(map: &CutMap, base: UvId) -> Vec<HalfEdge> {
-    let (distance, towards) = distances(map, base);
+/// a surface without handles in one part. Each hole is a face to it, whose edges need no cutting.
+fn cut_graph(map: &CutMap, holes: &Loops, base: UvId) -> Vec<HalfEdge> {
+    let (distance, towards) = distances(map, base, true);
     let topology = map.mesh.topology();
     let edge = |h: HalfEdge| topology.uv_twin(h).map_or(h, |t| h.min(t));
     let in_tree: BTreeSet<HalfEdge> = towards.iter().flatten().map(|h| edge(*h)).collect();
+    let faces = map.rest.len() as u32;
+    let numbered = (faces..).zip(&holes.half_edges);
+    let hole: BTreeMap<HalfEdge, u32> = numbered.flat_map(|(n, own)| own.iter().map(move |h| (*h, n))).collect();
     // Largest loops are crossed first by the tree of faces.
     let mut crossing: Vec<(Cost, HalfEdge)> = topology
         .half_edges()
-        .filter(|h| edge(*h) == *h && topology.uv_twin(*h).is_some() && !in_tree.contains(h))
+        .filter(|h| edge(*h) == *h && !in_tree.contains(h))
         .map(|h| {
             let [a, b] = map.mesh.uv_ends(h).map(|u| distance[u.index()]);
             (Cost(-(a + b + map.cost[h.index()])), h)
         })
         .collect();
     crossing.sort_unstable();
-    let mut parts = DisjointSets::new(map.rest.len());
+    let mut parts = DisjointSets::new(map.rest.len() + holes.half_edges.len());
     let mut left = Vec::new();
     for (_, h) in crossing {
-        let (f, g) = (h.face().0, topology.uv_twin(h).map_or(h.face().0, |t| t.face().0));
-        if parts.find(f) == parts.find(g) {
+        let across = topology.uv_twin(h).map(|t| t.face().0).or_else(|| hole.get(&h).copied());
+        let Some(across) = across else { continue };
+        if parts.find(h.face().0) == parts.find(across) {
             left.push(h);
         } else {
-            parts.unite(f, g);
+            parts.unite(h.face().0, across);
         }
     }
     let mut graph: BTreeSet<HalfEdge> = left.iter().copied().collect();
@@ -134,7 +138,7 @@ fn cut_graph(map: &CutMap, base: UvId) -> Vec<HalfEdge> {
                 if !graph.insert(edge(next)) {
                     break;
                 }
-                u = map.end(next);
+                u = other_end(map, next, u);
             }
         }
     }
@@ -154,11 +158,19 @@ fn cut_graph(map: &CutMap, base: UvId) -> Vec<HalfEdge> {
             }
         }
     }
+    graph.retain(|h| topology.uv_twin(*h).is_some());
     graph.into_iter().collect()
 }
 
-/// Distances along edges from a vertex, and by vertex the half edge that leaves it towards there.
-fn distances(map: &CutMap, from: UvId) -> (Vec<f64>, Vec<Option<HalfEdge>>) {
+/// The end of an edge that is not the one given.
+fn other_end(map: &CutMap, h: HalfEdge, u: UvId) -> UvId {
+    let [a, b] = map.mesh.uv_ends(h);
+    if a == u { b } else { a }
+}
+
+/// Distances along edges from a vertex, and by vertex the edge towards there: the half edge that leaves it, where it has one.
+/// `borders`: whether border edges count.
+fn distances(map: &CutMap, from: UvId, borders: bool) -> (Vec<f64>, Vec<Option<HalfEdge>>) {
     let mut distance = vec![f64::INFINITY; map.x.len()];
     let mut towards = vec![None; map.x.len()];
     let mut heap = BinaryHeap::from([Reverse((Cost(0.0), from.0))]);
@@ -169,10 +181,13 @@ fn distances(map: &CutMap, from: UvId) -> (Vec<f64>, Vec<Option<HalfEdge>>) {
         }
         for corner in map.mesh.corners_of(UvId(u)) {
             for h in [corner, corner.previous()] {
-                let Some(twin) = map.mesh.topology().uv_twin(h) else { continue };
-                // The one that ends here.
-                let back = if h == corner { twin } else { h };
-                let v = map.mesh.uv_at(back);
+                let twin = map.mesh.topology().uv_twin(h);
+                if twin.is_none() && !borders {
+                    continue;
+                }
+                // The one that ends here, if there is one.
+                let back = if h == corner { twin.unwrap_or(h) } else { h };
+                let v = other_end(map, h, UvId(u));
                 let to = d + map.cost[h.index()];
                 if to < distance[v.index()] {
                     distance[v.index()] = to;
@@ -187,7 +202,7 @@ fn distances(map: &CutMap, from: UvId) -> (Vec<f64>, Vec<Option<HalfEdge>>) {
 
 /// The shortest path of interior edges from a vertex to the border, from the border on: half edges, each leaving the vertex at which the one before ends.
 pub(super) fn path_to_border(map: &CutMap, from: UvId) -> Option<Vec<HalfEdge>> {
-    let (distance, towards) = distances(map, from);
+    let (distance, towards) = distances(map, from, false);
     let mut is_border = vec![false; map.x.len()];
     map.borders.iter().flat_map(|h| map.mesh.uv_ends(*h)).for_each(|u| is_border[u.index()] = true);
     let end = (0..map.x.len())

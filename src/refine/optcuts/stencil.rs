@@ -64,7 +64,7 @@ impl Stencil {
             }
             let Some(p) = solve(&mut h, &g, n) else { return };
             let slope: f64 = (0..n).map(|k| g[k] * p[k]).sum();
-            if !(slope < 0.0) {
+            if slope.is_nan() || slope >= 0.0 {
                 return;
             }
             let direction = |v: u8| {
