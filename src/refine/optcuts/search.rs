@@ -31,6 +31,8 @@ const BEST: f64 = 4.0;
 const NOISE: f64 = 0.5;
 /// Seams that get longer than this while they are cut again are given up.
 const LONGER: f64 = 1.03;
+/// Faces for which all vertices are moved after each operation; with more, after every other, and so on.
+const LARGE: u64 = 8000;
 /// Most cuts to extrema, and how near the bound they lead: beyond, local operations are better.
 const EXTREMA: usize = 500;
 const NEARLY: f64 = 0.1;
@@ -278,7 +280,11 @@ impl<'a> Search<'a> {
             tight = false;
             let Some(seed) = seed else { continue };
             self.propagate(seed, None)?;
-            self.settle()?;
+            // Of a large map a step of all costs much, and one operation moves little of it.
+            let every = 1 + self.map.rest.len() as u64 / LARGE;
+            if self.round.is_multiple_of(every) || self.distortion < self.bound + SLACK {
+                self.settle()?;
+            }
         }
         Ok(())
     }

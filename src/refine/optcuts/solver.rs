@@ -123,3 +123,6 @@ fn starts(quality: Quality) -> usize {
         Quality::Best => STARTS.len(),
     }
 }
+
+#[cfg(test)]
+mod tests;
