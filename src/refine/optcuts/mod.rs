@@ -99,6 +99,7 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
         ("non_manifold_edges".to_owned(), json!(division.faults.non_manifold_edges)),
         ("winding_edges".to_owned(), json!(division.faults.winding_edges)),
         ("doubled_vertices".to_owned(), json!(division.faults.doubled_vertices)),
+        ("segmented".to_owned(), json!(division.faults.segmented)),
         ("degenerate_faces".to_owned(), json!(count_of(&degenerate))),
         ("repaired_charts".to_owned(), json!(layout.as_ref().map_or(0, |l| l.repaired))),
         ("held_back".to_owned(), json!(held_back)),

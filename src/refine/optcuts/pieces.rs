@@ -5,9 +5,11 @@
 //! are there twice stay apart. A vertex at which several fans of faces meet is one vertex for each of them.
 
 use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 
 use glam::{DVec2, DVec3};
 
+use super::start::Cost;
 use crate::atlas::groups::DisjointSets;
 use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Provenance, Surface, Topology, UvId, VertexId, seams};
 
@@ -15,6 +17,8 @@ use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Provenance, Surface, Topolog
 const SLIVER: f64 = 1e-12;
 /// Faces at one edge beyond which no pairs are looked for.
 const MOST_AT_AN_EDGE: usize = 64;
+/// Faces of a piece at most, about: to flatten so many takes minutes and some hundred megabytes.
+const LARGEST: usize = 150_000;
 /// Room between charts that are laid out in a row, in units of the side of a square of their area.
 const GAP: f64 = 0.1;
 
@@ -40,6 +44,8 @@ pub(super) struct Faults {
     pub winding_edges: u64,
     /// Vertices at which several fans of faces meet, over their number of fans less one.
     pub doubled_vertices: u64,
+    /// Components that are too large to be flattened at once.
+    pub segmented: u64,
 }
 
 /// A surface divided into pieces.
@@ -67,6 +73,7 @@ pub(super) fn is_degenerate([a, b, c]: [DVec3; 3]) -> bool {
 pub(super) fn divide(atlas: &Atlas, wanted: &[bool]) -> Division {
     let mut faults = Faults::default();
     let mut across = join_faces(atlas, wanted, &mut faults);
+    faults.segmented = segment(atlas, &mut across, LARGEST);
     let fan = loop {
         let fan = fans(atlas, &across);
         let misfits = misfits(&fan, wanted);
@@ -88,6 +95,60 @@ pub(super) fn divide(atlas: &Atlas, wanted: &[bool]) -> Division {
     let pieces = all.map(|own| own.into_iter().map(FaceId).collect()).collect();
     faults.doubled_vertices = doubled(atlas, &fan, wanted);
     Division { pieces, fan, across, faults }
+}
+
+/// Cuts components of more than `largest` faces into compact regions of about that size: the memory and the time of flattening grow faster than the
+/// number of faces. Gives how many were cut.
+///
+/// Regions grow from faces that are far from each other (farthest point sampling, then nearest seed, along the surface from face to face).
+fn segment(atlas: &Atlas, across: &mut [HalfEdge], largest: usize) -> u64 {
+    let mut sets = DisjointSets::new(atlas.face_count());
+    for (h, twin) in across.iter().enumerate().filter(|(_, twin)| **twin != HalfEdge::NONE) {
+        sets.unite(h as u32 / 3, twin.face().0);
+    }
+    let large: Vec<Vec<u32>> = sets.sets().into_iter().filter(|own| own.len() > largest).collect();
+    if large.is_empty() {
+        return 0;
+    }
+    let middle = |f: u32| atlas.triangle(FaceId(f)).iter().sum::<DVec3>() / 3.0;
+    let mut region = vec![0u32; atlas.face_count()];
+    let mut distance = vec![f64::INFINITY; atlas.face_count()];
+    let count = large.len() as u64;
+    for own in large {
+        let mut seed = own[0];
+        for number in 0..=own.len().div_ceil(largest) as u32 {
+            // The first only finds an end of the surface.
+            if number == 1 {
+                own.iter().for_each(|f| distance[*f as usize] = f64::INFINITY);
+            }
+            distance[seed as usize] = 0.0;
+            region[seed as usize] = number;
+            let mut heap = BinaryHeap::from([Reverse((Cost(0.0), seed))]);
+            while let Some(Reverse((Cost(d), f))) = heap.pop() {
+                if d > distance[f as usize] {
+                    continue;
+                }
+                for twin in [0, 1, 2].map(|k| across[HalfEdge::of(FaceId(f), k).index()]) {
+                    let Some(g) = twin.some().map(|t| t.face().0) else { continue };
+                    let to = d + middle(f).distance(middle(g));
+                    if to < distance[g as usize] {
+                        distance[g as usize] = to;
+                        region[g as usize] = number;
+                        heap.push(Reverse((Cost(to), g)));
+                    }
+                }
+            }
+            seed = own.iter().copied().max_by_key(|f| (Cost(distance[*f as usize]), Reverse(*f))).unwrap_or(seed);
+        }
+    }
+    for h in 0..across.len() {
+        let Some(twin) = across[h].some() else { continue };
+        if region[h / 3] != region[twin.face().index()] {
+            across[h] = HalfEdge::NONE;
+            across[twin.index()] = HalfEdge::NONE;
+        }
+    }
+    count
 }
 
 /// By half edge: the one that its face goes on over.

@@ -218,3 +218,21 @@ fn each_face_alone_is_flat_and_none_meets_another() {
         assert!(Strain::of(&flat).energy() < 4.0 + 1e-6);
     }
 }
+
+#[test]
+fn a_large_component_is_cut_into_connected_regions_of_about_the_size_asked_for() {
+    let atlas = crate::atlas::testing::sheet(40, 40, DVec2::ZERO);
+    let mut across = join_faces(&atlas, &vec![true; atlas.face_count()], &mut Faults::default());
+    let whole = across.clone();
+    assert_eq!(segment(&atlas, &mut across, 3200), 0);
+    assert_eq!(across, whole);
+    assert_eq!(segment(&atlas, &mut across, 500), 1);
+    let mut sets = DisjointSets::new(atlas.face_count());
+    for (h, twin) in across.iter().enumerate().filter(|(_, twin)| **twin != HalfEdge::NONE) {
+        assert_eq!(across[twin.index()], HalfEdge::new(h));
+        sets.unite(h as u32 / 3, twin.face().0);
+    }
+    let sizes: Vec<usize> = sets.sets().iter().map(Vec::len).collect();
+    assert_eq!(sizes.len(), 7, "{sizes:?}");
+    assert!(sizes.iter().all(|n| (100..1500).contains(n)), "{sizes:?}");
+}
