@@ -274,8 +274,13 @@ impl CutMap {
             return None;
         }
         let (first, second) = (self.fan(a), self.fan(b));
-        let next = self.end(*first.corners.first()?);
-        let before = self.mesh.uv_at(second.corners.last()?.previous());
+        let (onward, arriving) = (*first.corners.first()?, second.corners.last()?.previous());
+        let (next, before) = (self.end(onward), self.mesh.uv_at(arriving));
+        let mut seam = -self.cost[out.index()];
+        // The last vertex of a slit closes both of its edges.
+        if next == before && self.mesh.topology().surface_twin(onward) == Some(arriving) {
+            seam -= self.cost[onward.index()];
+        }
         if next == before && !self.has_other_border(out, a, b) {
             return None;
         }
@@ -285,7 +290,7 @@ impl CutMap {
         let groups = [Group { corners: &corners, from }];
         let void = [[Place::Free(0), Place::Held(before), Place::Held(next)]];
         let (stencil, energy) = self.stencil(&groups, &[start], if next == before { &[] } else { &void })?;
-        self.finished(Operation::Merge(out), -self.cost[out.index()], &groups, stencil, energy)
+        self.finished(Operation::Merge(out), seam, &groups, stencil, energy)
     }
 
     /// Whether the chart of a slit of two edges has another border.
