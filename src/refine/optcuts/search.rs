@@ -33,6 +33,16 @@ const NOISE: f64 = 0.5;
 const LONGER: f64 = 1.03;
 /// Faces for which all vertices are moved after each operation; with more, after every other, and so on.
 const LARGE: u64 = 8000;
+/// Faces for which one more operation is carried out in a round, and most of these.
+const SHARE: usize = 2000;
+const MOST_AT_ONCE: usize = 16;
+/// Rounds without progress, which is so much of what is missing, until a cut to the extremum is made; and how many such cuts in a row may not help.
+const PATIENCE: u64 = 25;
+const PROGRESS: f64 = 1e-3;
+const STALLS: u32 = 8;
+/// Vertices that a search moves at most, in parts of those that there are: what has not ended by then ends with its best. Small surfaces may take more.
+const MOST_WORK: u64 = 2000;
+const FREE_WORK: u64 = 5_000_000;
 /// Most cuts to extrema, and how near the bound they lead: beyond, local operations are better.
 const EXTREMA: usize = 500;
 const NEARLY: f64 = 0.1;
@@ -104,7 +114,7 @@ impl<'a> Search<'a> {
 
     fn stop(&mut self) -> Result<bool> {
         self.interrupted = self.interrupted || (self.interrupt)()?;
-        Ok(self.interrupted)
+        Ok(self.interrupted || self.work > (MOST_WORK * self.map.x.len() as u64).max(FREE_WORK))
     }
 
     /// Newton steps of the whole map until they gain less than a part of the energy.
@@ -250,12 +260,30 @@ impl<'a> Search<'a> {
     fn descend(&mut self, most: usize, longest: f64) -> Result<()> {
         let mut tight = false;
         let mut part = 0.6;
+        // The least E_d so far, when it was reached, and how often nothing but a cut to the extremum helped.
+        let (mut lowest, mut since, mut stalls) = (self.distortion, self.round, 0);
+        // The least value of the Lagrangian with this dual.
+        let (mut lambda, mut least) = (self.lambda, f64::INFINITY);
         for _ in 0..most {
             self.round += 1;
             if self.distortion <= self.bound || self.map.seam_length() > longest || self.stop()? {
                 return Ok(());
             }
-            let border = self.operations(false, BORDER_PART);
+            let value = self.map.seam_length() + self.lambda * self.distortion;
+            if self.distortion < lowest - PROGRESS * (lowest - self.bound) {
+                (lowest, since, stalls) = (self.distortion, self.round, 0);
+            } else if lambda == self.lambda && value < least - PROGRESS * self.bound {
+                (least, since) = (value, self.round);
+            } else if lambda != self.lambda {
+                (lambda, least) = (self.lambda, value);
+            } else if self.round > since + PATIENCE {
+                stalls += 1;
+                since = self.round;
+                if stalls > STALLS || !self.cut_to_extremum()? {
+                    return Ok(());
+                }
+            }
+            let mut border = self.operations(false, BORDER_PART);
             let mut seed = self.seed(&border);
             if seed.is_none() {
                 let interior = self.operations(true, part);
@@ -267,7 +295,7 @@ impl<'a> Search<'a> {
                 }
                 if seed.is_none() {
                     // Nothing pays: the dual rises until something does.
-                    let all: Vec<_> = border.into_iter().chain(interior).collect();
+                    let all: Vec<_> = border.iter().copied().chain(interior).collect();
                     let worth = all.iter().filter(|o| o.2 < 0.0 && o.1 > 0.0).map(|o| o.1 / -o.2);
                     match worth.min_by_key(|r| Cost(*r)) {
                         Some(worth) => self.lambda = self.lambda.max(worth) * 1.05,
@@ -279,7 +307,21 @@ impl<'a> Search<'a> {
             }
             tight = false;
             let Some(seed) = seed else { continue };
+            let first = seed.operation;
             self.propagate(seed, None)?;
+            // On a large map others are far enough away to be carried out at once, if they still pay.
+            let others = (self.map.rest.len() / SHARE).min(MOST_AT_ONCE);
+            let gain = |o: &(Operation, f64, f64)| Cost(o.1 + self.lambda * o.2);
+            border.retain(|o| gain(o).0 < 0.0 && o.0 != first);
+            border.sort_unstable_by_key(|o| (gain(o), o.0));
+            for (operation, ..) in border.into_iter().take(others) {
+                if self.distortion <= self.bound {
+                    break;
+                }
+                if let Some(next) = self.map.query(operation).filter(|c| c.gain(self.lambda) < 0.0) {
+                    self.propagate(next, None)?;
+                }
+            }
             // Of a large map a step of all costs much, and one operation moves little of it.
             let every = 1 + self.map.rest.len() as u64 / LARGE;
             if self.round.is_multiple_of(every) || self.distortion < self.bound + SLACK {
@@ -404,27 +446,29 @@ impl<'a> Search<'a> {
     /// The fast variant (section 7.3, after Gu et al. 2002): shortest cuts from the worst vertex to the border until the bound nearly holds.
     fn cut_to_extrema(&mut self) -> Result<()> {
         for _ in 0..EXTREMA {
-            if self.distortion <= self.bound + NEARLY || self.stop()? {
+            if self.distortion <= self.bound + NEARLY || self.stop()? || !self.cut_to_extremum()? {
                 return Ok(());
             }
-            let Some(path) = extremum(&self.map).and_then(|worst| path_to_border(&self.map, worst)) else {
-                return Ok(());
-            };
-            let (mut active, mut tails) = (Vec::new(), Vec::new());
-            for edge in path {
-                let Some(split) = self.map.query(Operation::BoundarySplit(edge)) else { break };
-                if self.carry_out(&split, &mut active, &mut tails).is_none() {
-                    break;
-                }
-            }
-            if active.is_empty() {
-                return Ok(());
-            }
-            self.distortion = self.map.distortion();
-            self.relax(1e-3, 4)?;
             self.visit();
         }
         Ok(())
+    }
+
+    /// One such cut; false where there is none.
+    fn cut_to_extremum(&mut self) -> Result<bool> {
+        let Some(path) = extremum(&self.map).and_then(|worst| path_to_border(&self.map, worst)) else {
+            return Ok(false);
+        };
+        let (mut active, mut tails) = (Vec::new(), Vec::new());
+        for edge in path {
+            let Some(split) = self.map.query(Operation::BoundarySplit(edge)) else { break };
+            if self.carry_out(&split, &mut active, &mut tails).is_none() {
+                break;
+            }
+        }
+        self.distortion = self.map.distortion();
+        self.relax(1e-3, 4)?;
+        Ok(!active.is_empty())
     }
 
     /// Algorithm 1: the dual is moved by eq. 7, the seams by whatever pays most, and both again until a state comes back.
