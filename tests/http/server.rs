@@ -277,7 +277,8 @@ pub fn left(data: &Path) -> Vec<String> {
     let mut files = Vec::new();
     let mut folders: Vec<_> = ["incoming", "uploads", "objects"].map(|f| data.join(f)).into();
     while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
+        // A folder may go while it is looked for.
+        for entry in std::fs::read_dir(folder).into_iter().flatten() {
             let path = entry.unwrap().path();
             if path.is_dir() {
                 folders.push(path);
