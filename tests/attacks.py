@@ -64,7 +64,7 @@ class Service:
                     peer.shutdown(socket.SHUT_WR)
                 while len(answer) < 1 << 20 and (part := peer.recv(1 << 16)):
                     answer += part
-            except (ConnectionError, TimeoutError):
+            except OSError:
                 pass
         return answer
 

@@ -320,7 +320,7 @@ fn obj_of_a_million() {
     let (answer, cost) = measured(|| intarsia::asset::load(&files, None, &Limits::default()));
     let (_, warnings) = answer.expect("no panic").expect("a model");
     assert!(warnings.iter().any(|w| w.code == "polygons_fanned"), "{warnings:?}");
-    assert!(cost.seconds < 10.0 && cost.bytes < MOST_BYTES, "{cost:?}");
+    assert!(cost.seconds < 60.0 && cost.bytes < MOST_BYTES, "{cost:?}");
 
     // A million corners that go round and round a triangle.
     let corners = 1_000_000;
@@ -328,7 +328,7 @@ fn obj_of_a_million() {
     let files = vec![file("m.obj", &text)];
     let (answer, cost) = measured(|| intarsia::asset::load(&files, None, &Limits::default()));
     assert!(answer.expect("no panic").is_ok());
-    assert!(cost.seconds < 10.0 && cost.bytes < MOST_BYTES, "{cost:?}");
+    assert!(cost.seconds < 60.0 && cost.bytes < MOST_BYTES, "{cost:?}");
 
     // A library that is named without end is read once.
     let library = format!("newmtl a\n{}", "Kd 1 1 1\n".repeat(20_000));
