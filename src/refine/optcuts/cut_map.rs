@@ -15,7 +15,7 @@ const VOID_ENERGY: f64 = 0.01;
 const NARROWEST: f64 = 0.1;
 /// How much higher such a triangle wants to be, as a factor: more, and a new cut would tear at its sides.
 const WIDENED: f64 = 2.0;
-/// Least part of the vertices from which on all move in a local step.
+/// Part of the vertices beyond which all move in a local step.
 const MOST_LOCAL: f64 = 0.67;
 
 /// A piece of a surface and its map. Lengths are such that the surface's area is pi, so that seam lengths are E_s (eq. 4) and energies E_d (eq. 5).
@@ -137,16 +137,18 @@ impl CutMap {
 
     /// E_s: what all seams cost, each once; the surface's own boundary is none.
     pub fn seam_length(&self) -> f64 {
+        self.seams().map(|h| self.cost[h.index()]).sum()
+    }
+
+    /// The seams, each once.
+    pub fn seams(&self) -> impl Iterator<Item = HalfEdge> + '_ {
         let topology = self.mesh.topology();
-        let seams = self.borders.iter().filter(|h| topology.surface_twin(**h).is_some_and(|t| t > **h));
-        seams.map(|h| self.cost[h.index()]).sum()
+        self.borders.iter().copied().filter(|h| topology.surface_twin(*h).is_some_and(|t| t > *h))
     }
 
     /// Length of all seams, whatever they cost.
     pub fn unweighted_seam_length(&self) -> f64 {
-        let topology = self.mesh.topology();
-        let seams = self.borders.iter().filter(|h| topology.surface_twin(**h).is_some_and(|t| t > **h));
-        seams.map(|h| self.edge_length(*h)).sum()
+        self.seams().map(|h| self.edge_length(h)).sum()
     }
 
     /// Length of an edge on the surface.

@@ -8,6 +8,7 @@ mod cut_map;
 mod operations;
 pub mod params;
 mod pieces;
+mod published;
 mod search;
 mod solver;
 mod start;
@@ -205,6 +206,11 @@ fn solve_one(
         search: params.search,
         polish: start.is_some(),
         seed: context.seed,
+        // Each piece its part.
+        budget: input
+            .options
+            .work_budget
+            .map(|all| (all as f64 * piece.faces.len() as f64 / input.atlas.face_count() as f64) as u64),
     };
     let interrupt = || {
         context.check()?;

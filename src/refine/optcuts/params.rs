@@ -103,11 +103,11 @@ impl ToSchema for MaxDistortion {}
 #[serde(rename_all = "snake_case")]
 #[schema(as = OptCutsQuality)]
 pub enum Quality {
-    /// Cuts from extremities to the border (section 7.3): seams a little longer, in a fraction of the time.
+    /// Cuts from extremities to the border (section 7.3) as far as they go, then local operations: seams a little longer, in a fraction of the time.
     Fast,
-    /// The search of the paper, made fast.
+    /// Local operations until the bound holds, then parts of the seams again, for about as much work.
     Balanced,
-    /// Several starts, which polish each other.
+    /// Several starts, each improved for four times as long; the best is taken.
     Best,
 }
 

@@ -1,6 +1,6 @@
 //! The search for short seams within a bound on the distortion.
 //!
-//! [`Search::run_as_published`] is Algorithm 1. [`Search::run`] uses the same operations in another order: cut where that pays most until the bound holds
+//! [`Search::run_as_published`], in a file of its own, is Algorithm 1. [`Search::run`] uses the same operations in another order: cut where that pays most until the bound holds
 //! ([`Search::descend`]), close what the bound does not need ([`Search::trim`]), and then again and again open a part of the seams and let both find
 //! a better way ([`Search::improve`]).
 
@@ -13,16 +13,18 @@ use super::cut_map::CutMap;
 use super::operations::{Candidate, Operation};
 use super::params::Quality;
 use super::start::{Cost, extremum, path_to_border};
+use crate::atlas::groups::sorted_unique;
 use crate::atlas::{HalfEdge, Mark, UvId};
 use crate::error::Result;
 use crate::numeric::newton::Step;
+use crate::packing::Random;
 
 /// How far below the bound the dual aims.
-const SLACK: f64 = 1e-3;
+pub(super) const SLACK: f64 = 1e-3;
 /// Vertices within so many edges of an operation move in its local steps.
 const RINGS: usize = 6;
 /// Part of the border vertices that are asked for splits, as an exponent (section 5.3).
-const BORDER_PART: f64 = 0.8;
+pub(super) const BORDER_PART: f64 = 0.8;
 /// Work of opening seams again, in parts of the work before: `balanced` takes so much for one face, and less the more there are.
 const BALANCED: f64 = 3000.0;
 /// The same for `best`, whatever the size.
@@ -73,27 +75,40 @@ struct Known {
 
 /// The search of one piece.
 pub(super) struct Search<'a> {
-    pub map: CutMap,
-    bound: f64,
-    pub lambda: f64,
-    pub distortion: f64,
+    pub(super) map: CutMap,
+    pub(super) bound: f64,
+    /// The dual variable.
+    pub(super) lambda: f64,
+    /// E_d of the map.
+    pub(super) distortion: f64,
     /// The feasible map of the shortest seams, or the one of least distortion.
     pub best: Option<Visited>,
     interrupt: &'a (dyn Fn() -> Result<bool> + Sync),
+    /// Whether only operations of the paper are used.
+    pub(super) published: bool,
     pub interrupted: bool,
     /// Vertices that were moved, over all steps.
     pub work: u64,
+    /// How many may be.
+    budget: u64,
     /// Until which round an operation is not to be tried.
     tabu: BTreeMap<Operation, u64>,
-    round: u64,
+    pub(super) round: u64,
     known: [Vec<Option<Known>>; 2],
-    /// How much estimates are shaken, and by what.
-    noise: (f64, u64),
-    random: u64,
+    /// What estimates are shaken by, where they are.
+    noise: Option<u64>,
+    random: Random,
 }
 
 impl<'a> Search<'a> {
-    pub fn new(map: CutMap, bound: f64, seed: u64, interrupt: &'a (dyn Fn() -> Result<bool> + Sync)) -> Self {
+    /// Of a valid map, with a bound on E_d, a seed and a budget of work.
+    pub fn new(
+        map: CutMap,
+        bound: f64,
+        random: Random,
+        budget: Option<u64>,
+        interrupt: &'a (dyn Fn() -> Result<bool> + Sync),
+    ) -> Self {
         let distortion = map.distortion();
         Search {
             map,
@@ -102,19 +117,28 @@ impl<'a> Search<'a> {
             distortion,
             best: None,
             interrupt,
+            published: false,
             interrupted: false,
             work: 0,
+            budget: budget.unwrap_or(u64::MAX),
             tabu: BTreeMap::new(),
             round: 0,
             known: [Vec::new(), Vec::new()],
-            noise: (0.0, 0),
-            random: seed,
+            noise: None,
+            random,
         }
     }
 
-    fn stop(&mut self) -> Result<bool> {
+    /// Whether to end with what there is.
+    pub(super) fn stop(&mut self) -> Result<bool> {
         self.interrupted = self.interrupted || (self.interrupt)()?;
-        Ok(self.interrupted || self.work > (MOST_WORK * self.map.x.len() as u64).max(FREE_WORK))
+        let most = (MOST_WORK * self.map.x.len() as u64).max(FREE_WORK);
+        Ok(self.interrupted || self.work >= self.budget.min(most))
+    }
+
+    /// The limit of the user's that has ended the search, if one has.
+    pub(super) fn stopped_by(&self) -> Option<&'static str> {
+        if self.interrupted { Some("time_limit") } else { (self.work >= self.budget).then_some("work_budget") }
     }
 
     /// Newton steps of the whole map until they gain less than a part of the energy.
@@ -172,18 +196,12 @@ impl<'a> Search<'a> {
         self.distortion = saved.distortion;
     }
 
-    /// A number in 0..1 (splitmix64).
-    fn random(&mut self) -> f64 {
-        self.random = self.random.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        mixed(self.random)
-    }
-
     fn is_free(&self, operation: &Operation) -> bool {
         self.tabu.get(operation).is_none_or(|until| *until < self.round)
     }
 
     /// Border splits, merges and ears, or interior splits: the operations with what each changes.
-    fn operations(&mut self, interior: bool, part: f64) -> Vec<(Operation, f64, f64)> {
+    pub(super) fn operations(&mut self, interior: bool, part: f64) -> Vec<(Operation, f64, f64)> {
         let map = &self.map;
         let mut is_border = vec![false; map.x.len()];
         map.borders.iter().flat_map(|h| map.mesh.uv_ends(*h)).for_each(|u| is_border[u.index()] = true);
@@ -233,22 +251,34 @@ impl<'a> Search<'a> {
             out.extend(known[u.index()].iter().flat_map(|k| k.found.iter().copied()));
         }
         if !interior {
-            let light = |c: Candidate| (c.operation, c.seam, c.energy);
-            out.extend(vertices.par_iter().filter_map(|u| map.merge(*u)).map(light).collect::<Vec<_>>());
-            out.extend(map.borders.par_iter().filter_map(|h| map.ear(*h)).map(light).collect::<Vec<_>>());
+            out.extend(self.closings().iter().map(|c| (c.operation, c.seam, c.energy)));
         }
         out.retain(|(operation, ..)| self.is_free(operation));
-        let (by, salt) = self.noise;
-        if by > 0.0 {
+        if let Some(salt) = self.noise {
             for (operation, _, energy) in &mut out {
-                *energy *= 1.0 + by * (mixed(salt ^ key(*operation)) - 0.5);
+                *energy *= 1.0 + NOISE * (Random::stream(salt, key(*operation)).unit() - 0.5);
             }
         }
         out
     }
 
+    /// The border's vertices, ascending.
+    fn border_vertices(&self) -> Vec<UvId> {
+        sorted_unique(self.map.borders.iter().map(|h| self.map.mesh.uv_at(*h)))
+    }
+
+    /// What makes seams shorter: merges, and ears, which the paper does not have.
+    fn closings(&self) -> Vec<Candidate> {
+        let map = &self.map;
+        let mut all: Vec<Candidate> = self.border_vertices().par_iter().filter_map(|u| map.merge(*u)).collect();
+        if !self.published {
+            all.extend(map.borders.par_iter().filter_map(|h| map.ear(*h)).collect::<Vec<_>>());
+        }
+        all
+    }
+
     /// The operation that lowers the Lagrangian most, as things are now.
-    fn seed(&mut self, operations: &[(Operation, f64, f64)]) -> Option<Candidate> {
+    pub(super) fn seed(&mut self, operations: &[(Operation, f64, f64)]) -> Option<Candidate> {
         let gain = |o: &(Operation, f64, f64)| Cost(o.1 + self.lambda * o.2);
         let mut best: Vec<_> = operations.iter().filter(|o| gain(o).0 < 0.0).collect();
         best.sort_by_key(|o| (gain(o), o.0));
@@ -341,12 +371,7 @@ impl<'a> Search<'a> {
         let mut refused: BTreeSet<Operation> = BTreeSet::new();
         while failed < 4 && !self.stop()? {
             self.round += 1;
-            let map = &self.map;
-            let mut tips: Vec<UvId> = map.borders.iter().map(|h| map.mesh.uv_at(*h)).collect();
-            tips.sort_unstable();
-            tips.dedup();
-            let mut all: Vec<Candidate> = tips.par_iter().filter_map(|u| map.merge(*u)).collect();
-            all.extend(map.borders.par_iter().filter_map(|h| map.ear(*h)).collect::<Vec<_>>());
+            let mut all = self.closings();
             all.retain(|c| c.seam < 0.0 && !refused.contains(&c.operation));
             let next = all
                 .into_iter()
@@ -372,20 +397,13 @@ impl<'a> Search<'a> {
 
     /// Opens a part of the seams: closes a random tip for some edges.
     fn ruin(&mut self) -> Result<()> {
-        let map = &self.map;
-        let mut tips: Vec<UvId> = map.borders.iter().map(|h| map.mesh.uv_at(*h)).collect();
-        tips.sort_unstable();
-        tips.dedup();
-        tips.retain(|u| map.merge(*u).is_some());
-        if tips.is_empty() {
+        let mut merges: Vec<Candidate> = self.border_vertices().iter().filter_map(|u| self.map.merge(*u)).collect();
+        if merges.is_empty() {
             return Ok(());
         }
-        let pick = (self.random() * tips.len() as f64) as usize;
-        let most = 2 + (self.random().powi(2) * (self.map.borders.len() as f64 / 4.0)) as usize;
-        if let Some(merge) = self.map.merge(tips[pick.min(tips.len() - 1)]) {
-            self.propagate(merge, Some(most))?;
-        }
-        Ok(())
+        let merge = merges.swap_remove(self.random.below(merges.len()));
+        let most = 2 + (self.random.unit().powi(2) * (self.map.borders.len() as f64 / 4.0)) as usize;
+        self.propagate(merge, Some(most))
     }
 
     /// The search; the map must be valid.
@@ -408,11 +426,11 @@ impl<'a> Search<'a> {
         self.trim()?;
         self.visit();
         if self.distortion > self.bound {
-            return Ok(if self.interrupted { "time_limit" } else { "no_improvement" });
+            return Ok(self.stopped_by().unwrap_or("no_improvement"));
         }
         let most = self.work + (trials * self.work as f64) as u64;
         self.improve(most)?;
-        Ok(if self.interrupted { "time_limit" } else { "done" })
+        Ok(self.stopped_by().unwrap_or("done"))
     }
 
     /// Opens parts of the seams again and keeps what gets no longer by it, until so much work is done.
@@ -422,10 +440,10 @@ impl<'a> Search<'a> {
         while self.work < most && !self.stop()? {
             let (saved, before) = (self.save(), self.work);
             self.ruin()?;
-            self.noise = (NOISE, mixed_bits(self.random));
-            self.lambda = lambda * (0.2 + 0.8 * self.random());
+            self.noise = Some(self.random.next());
+            self.lambda = lambda * (0.2 + 0.8 * self.random.unit());
             self.descend(40, LONGER * current)?;
-            self.noise.0 = 0.0;
+            self.noise = None;
             self.trim()?;
             let seam = self.map.seam_length();
             if self.distortion <= self.bound && seam <= current {
@@ -471,62 +489,6 @@ impl<'a> Search<'a> {
         Ok(!active.is_empty())
     }
 
-    /// Algorithm 1: the dual is moved by eq. 7, the seams by whatever pays most, and both again until a state comes back.
-    ///
-    /// # Errors
-    /// `canceled`.
-    pub fn run_as_published(&mut self) -> Result<&'static str> {
-        self.relax(1e-6, 1000)?;
-        self.visit();
-        let aim = self.bound - 0.5 * SLACK;
-        let mut visited: BTreeSet<[i64; 3]> = BTreeSet::new();
-        let mut part = 0.6;
-        loop {
-            self.round += 1;
-            if self.stop()? {
-                return Ok("time_limit");
-            }
-            let last = self.lambda;
-            self.lambda = (self.lambda + self.distortion - aim).max(0.0);
-            let mut all = self.operations(false, BORDER_PART);
-            let mut seed = self.seed(&all);
-            if seed.is_none() {
-                let interior = self.operations(true, part);
-                seed = self.seed(&interior);
-                all.extend(interior);
-            }
-            if seed.is_none() {
-                self.relax(1e-7, 100)?;
-                self.visit();
-                let within = self.distortion <= self.bound && self.distortion >= self.bound - SLACK;
-                if within || (self.lambda - last).abs() < 1e-3 && self.distortion <= self.bound {
-                    return Ok("done");
-                }
-                // Eq. 7 again and again until an operation pays, in closed form.
-                let (over, shorter) = (self.distortion > self.bound, |o: &(Operation, f64, f64)| o.1 < 0.0);
-                let worth =
-                    all.iter().filter(|o| shorter(o) != over && (o.2 < 0.0) == over && o.2 != 0.0).map(|o| o.1 / -o.2);
-                let next = if over { worth.min_by_key(|r| Cost(*r)) } else { worth.max_by_key(|r| Cost(*r)) };
-                match next {
-                    Some(next) if over => self.lambda = self.lambda.max(next * 1.001),
-                    Some(next) => self.lambda = self.lambda.min(next * 0.999),
-                    None if part < 1.0 => part += 0.1,
-                    None => return Ok("no_improvement"),
-                }
-                seed = self.seed(&all);
-            }
-            if let Some(seed) = seed {
-                self.propagate(seed, None)?;
-            }
-            self.relax(1e-6, 10)?;
-            self.visit();
-            let state = [self.map.seam_length(), self.distortion, self.lambda].map(|v| (v * 1e4).round() as i64);
-            if !visited.insert(state) {
-                return Ok("cycle");
-            }
-        }
-    }
-
     /// Rounds of choosing an operation.
     pub fn rounds(&self) -> u64 {
         self.round
@@ -534,7 +496,7 @@ impl<'a> Search<'a> {
 
     /// Carries an operation on as long as that pays, in turn with steps of the positions about it (section 5.4). With `most`, whether it pays
     /// or not for so many times more.
-    fn propagate(&mut self, seed: Candidate, most: Option<usize>) -> Result<()> {
+    pub(super) fn propagate(&mut self, seed: Candidate, most: Option<usize>) -> Result<()> {
         let mut next = Some(seed);
         let mut active: Vec<UvId> = Vec::new();
         let mut tails = Vec::new();
@@ -587,10 +549,10 @@ impl<'a> Search<'a> {
             &[1.0, 0.2, 0.03]
         };
         for part in parts {
-            let (mark, x, borders) = (self.map.mesh.mark(), self.map.x.clone(), self.map.borders.clone());
+            let saved = self.save();
             let mut placed = candidate.clone();
             for (corner, at) in &mut placed.places {
-                *at = x[self.map.mesh.uv_at(*corner).index()].lerp(*at, *part);
+                *at = saved.x[self.map.mesh.uv_at(*corner).index()].lerp(*at, *part);
             }
             let ends = self.map.apply(&placed);
             let n = active.len();
@@ -603,9 +565,7 @@ impl<'a> Search<'a> {
                 return Some(step);
             }
             active.truncate(n);
-            self.map.mesh.undo(mark);
-            self.map.x = x;
-            self.map.borders = borders;
+            self.restore(&saved);
         }
         self.tabu.insert(candidate.operation, self.round + 40);
         None
@@ -618,17 +578,7 @@ impl<'a> Search<'a> {
     }
 }
 
-fn mixed_bits(x: u64) -> u64 {
-    let z = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
-}
-
-/// In 0..1.
-fn mixed(x: u64) -> f64 {
-    (mixed_bits(x) >> 11) as f64 / (1u64 << 53) as f64
-}
-
+/// A number for an operation.
 fn key(operation: Operation) -> u64 {
     let (kind, a, b) = match operation {
         Operation::BoundarySplit(h) => (1, h.0, 0),

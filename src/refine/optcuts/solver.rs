@@ -8,6 +8,7 @@ use super::search::{Search, Visited};
 use super::start;
 use crate::atlas::Atlas;
 use crate::error::{Code, Failure, Result};
+use crate::packing::Random;
 
 /// How a piece is to be solved.
 #[derive(Debug, Clone, Copy)]
@@ -24,6 +25,8 @@ pub(super) struct Settings {
     pub polish: bool,
     /// Seed of every random choice.
     pub seed: u64,
+    /// Vertices that may be moved, over all steps of all starts.
+    pub budget: Option<u64>,
 }
 
 /// What was reached.
@@ -86,7 +89,10 @@ pub(super) fn solve(
             }
             continue;
         }
-        let mut search = Search::new(map, settings.bound, settings.seed ^ ((k as u64) << 32), interrupt);
+        let mut search = {
+            let budget = settings.budget.map(|all| all.saturating_sub(work));
+            Search::new(map, settings.bound, Random::stream(settings.seed, k as u64), budget, interrupt)
+        };
         stopped_by = match settings.search {
             Order::Paper => search.run_as_published()?,
             Order::Default => search.run(settings.quality)?,

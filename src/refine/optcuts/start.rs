@@ -55,7 +55,7 @@ pub(super) fn embed(map: &mut CutMap, enough: f64, interrupt: &dyn Fn() -> Resul
 }
 
 /// Cuts along edges, leaving positions as they are.
-pub(super) fn cut(map: &mut CutMap, path: &[HalfEdge]) {
+fn cut(map: &mut CutMap, path: &[HalfEdge]) {
     map.mesh.cut(path);
     let uv = &map.mesh.atlas().uv;
     map.x.extend(uv[map.x.len()..].iter());
@@ -66,11 +66,10 @@ pub(super) fn cut(map: &mut CutMap, path: &[HalfEdge]) {
 fn cut_closed(map: &mut CutMap) -> Option<()> {
     let corner = HalfEdge(0);
     let fan = map.fan(map.mesh.uv_at(corner)).corners;
-    let opposite = fan[fan.len() / 2];
     if fan.len() < 3 {
         return None;
     }
-    cut(map, &[fan[0], opposite]);
+    cut(map, &[fan[0], fan[fan.len() / 2]]);
     Some(())
 }
 
@@ -278,7 +277,7 @@ fn tutte(map: &mut CutMap) -> Option<()> {
     map.mesh.atlas().faces().all(|f| map.rest[f.index()].energy(map.triangle(f)).is_finite()).then_some(())
 }
 
-/// A picture of the surface that halves it well: its two longest extents.
+/// A picture of the surface that halves it well: seen from somewhere that no axis looks along.
 fn guide(map: &CutMap, n: usize) -> Vec<DVec2> {
     let mut guide = vec![DVec2::ZERO; n];
     for corner in map.mesh.topology().half_edges() {

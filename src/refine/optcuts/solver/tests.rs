@@ -63,7 +63,7 @@ fn torus(n: u32) -> Atlas {
 const NEVER: &(dyn Fn() -> Result<bool> + Sync) = &|| Ok(false);
 
 fn settings(bound: f64, quality: Quality) -> Settings {
-    Settings { bound, bijective: true, quality, search: Order::Default, polish: false, seed: 0 }
+    Settings { bound, bijective: true, quality, search: Order::Default, polish: false, seed: 0, budget: None }
 }
 
 /// What a solution says of itself, and what the search promises, from scratch.
@@ -142,10 +142,8 @@ fn seams_stay_out_of_what_is_painted() {
     let painted: Vec<f64> = piece.surface.positions.iter().map(|p| if p.y > 0.0 { 100.0 } else { 1.0 }).collect();
     let inside = |atlas: &Atlas| {
         let map = CutMap::new(atlas.clone(), None, false).expect("it has areas");
-        let topology = map.mesh.topology();
-        let seams = map.borders.iter().filter(|h| topology.surface_twin(**h).is_some_and(|t| t > **h));
-        let painted = seams.filter(|h| map.mesh.surface_ends(**h).iter().all(|v| painted[v.index()] > 1.0));
-        painted.map(|h| map.edge_length(*h)).sum::<f64>()
+        let painted = map.seams().filter(|h| map.mesh.surface_ends(*h).iter().all(|v| painted[v.index()] > 1.0));
+        painted.map(|h| map.edge_length(h)).sum::<f64>()
     };
     let of = |weights: Option<&[f64]>| {
         solve(piece.clone(), weights, &settings(4.3, Quality::Balanced), NEVER).expect("it is never cancelled")
@@ -167,6 +165,16 @@ fn what_is_interrupted_gives_the_best_so_far_and_what_is_cancelled_nothing() {
     assert!(solution.atlas.faces().all(|f| solution.atlas.uv_area(f) > 0.0));
     let cancelled = || Err(Failure::new(Code::Canceled, "the job was cancelled"));
     assert!(solve(piece, None, &settings(4.1, Quality::Fast), &cancelled).is_err_and(|e| e.code == Code::Canceled));
+}
+
+#[test]
+fn a_budget_of_work_is_kept_but_for_the_last_step() {
+    let piece = horned(3);
+    let limited = Settings { budget: Some(20_000), ..settings(4.02, Quality::Balanced) };
+    let solution = solve(piece.clone(), None, &limited, NEVER).expect("it is never cancelled");
+    assert_eq!(solution.stopped_by, "work_budget");
+    assert!(solution.work < 20_000 + 2 * piece.surface.positions.len() as u64, "{}", solution.work);
+    assert!(solution.atlas.faces().all(|f| solution.atlas.uv_area(f) > 0.0));
 }
 
 #[test]
