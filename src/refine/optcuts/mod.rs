@@ -20,6 +20,7 @@ mod uploaded;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
+use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
@@ -43,6 +44,8 @@ const LEAST_IMPORTANCE: f64 = 0.01;
 const FORBIDDEN: f64 = 1e6;
 /// How deep faces may overlap, in units of the extent of their layout: what rounding makes of faces that touch.
 const ROUNDING: f64 = 1e-11;
+/// What texture coordinates in 32 bits can tell apart, in units of the extent of their layout.
+const WRITTEN: f64 = 1.0 / (1 << 23) as f64;
 /// Part of the stage's progress that the pieces are.
 const SOLVING: f64 = 0.85;
 
@@ -266,6 +269,14 @@ fn fault(piece: &Atlas, solved: &Atlas, bijective: bool) -> Option<&'static str>
     }
     // Moving charts rounds the last digits.
     let extent = solved.uv.iter().fold(0.0, |most: f64, p| most.max(p.abs().max_element()));
+    let written = |p: DVec2| (p / extent / WRITTEN).round();
+    let lost = |f: FaceId| {
+        let [a, b, c] = solved.uv_triangle(f).map(written);
+        orientation(a, b, c) <= 0
+    };
+    if solved.faces().any(lost) {
+        return Some("a face is too small to be written in 32 bits");
+    }
     let deep = |f, g| penetration(&solved.uv_triangle(f), &solved.uv_triangle(g)) > ROUNDING * extent;
     let overlap = || !overlaps_where(solved, 1, deep).0.is_empty();
     (bijective && overlap()).then_some("two faces overlap")

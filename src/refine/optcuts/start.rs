@@ -11,9 +11,9 @@ use crate::atlas::{Charts, HalfEdge, Loops, UvId};
 use crate::error::Result;
 use crate::numeric::tutte;
 
-/// Rounds of cutting, and those after which any map will do.
+/// Rounds of cutting, and those without a better map after which the best will do.
 const ROUNDS: usize = 200;
-const ANY: usize = 100;
+const PATIENCE: usize = 10;
 
 /// A cost that can be ordered.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,18 +40,28 @@ pub(super) fn embed(map: &mut CutMap, enough: f64, interrupt: &dyn Fn() -> Resul
     if map.borders.is_empty() && cut_closed(map).is_none() {
         return Ok(None);
     }
+    // Cuts make the map of a long border worse: the best map counts then.
+    let mut best: Option<(f64, CutMap)> = None;
+    let mut since = 0;
     for round in 0..ROUNDS {
         let out_of_time = interrupt()?;
         if tutte(map).is_some() {
             let distortion = map.distortion();
-            if distortion < enough || ((round >= ANY || out_of_time) && distortion.is_finite()) {
+            if distortion < enough {
                 return Ok(Some(()));
             }
+            if best.as_ref().is_none_or(|(least, _)| distortion < *least) {
+                (best, since) = (Some((distortion, map.clone())), round);
+            }
         }
-        let Some(path) = extremum(map).and_then(|worst| path_to_border(map, worst)) else { return Ok(None) };
-        cut(map, &path);
+        let path = extremum(map).and_then(|worst| path_to_border(map, worst));
+        let last = best.is_some() && (out_of_time || round >= since + PATIENCE);
+        match path.filter(|_| !last) {
+            Some(path) => cut(map, &path),
+            None => break,
+        }
     }
-    Ok(None)
+    Ok(best.map(|(_, found)| *map = found))
 }
 
 /// Cuts along edges, leaving positions as they are.

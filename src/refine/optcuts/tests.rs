@@ -194,6 +194,9 @@ fn what_is_wrong_with_a_solution_is_seen() {
     assert!(change(&|a| a.corners[0][0] = UvId(99)).is_some());
     assert!(change(&|a| a.corners[0][0] = a.corners[0][1]).is_some());
     assert!(change(&|a| a.corners.truncate(3)).is_some());
+    let squeezed = |height: f64| change(&|a| a.uv.iter_mut().for_each(|p| p.y *= height));
+    assert_eq!(squeezed(1e-5), None);
+    assert_eq!(squeezed(1e-9), Some("a face is too small to be written in 32 bits"));
     let lap = join(&piece, &piece);
     assert_eq!((fault(&lap, &lap, true), fault(&lap, &lap, false)), (Some("two faces overlap"), None));
 }

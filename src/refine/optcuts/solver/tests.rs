@@ -19,6 +19,12 @@ fn surface(positions: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> Atlas {
     }
 }
 
+/// Some faces of a surface without a layout.
+fn part(whole: &Atlas, kept: &[FaceId]) -> Atlas {
+    let faces = kept.iter().map(|f| whole.surface.triangles[f.index()].map(|v| v.0)).collect();
+    surface(whole.surface.positions.clone(), faces)
+}
+
 /// An octahedron, each face divided `rounds` times into four, drawn out into something with two horns.
 fn horned(rounds: usize) -> Atlas {
     let mut points = vec![DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z];
@@ -165,6 +171,20 @@ fn what_is_interrupted_gives_the_best_so_far_and_what_is_cancelled_nothing() {
     assert!(solution.atlas.faces().all(|f| solution.atlas.uv_area(f) > 0.0));
     let cancelled = || Err(Failure::new(Code::Canceled, "the job was cancelled"));
     assert!(solve(piece, None, &settings(4.1, Quality::Fast), &cancelled).is_err_and(|e| e.code == Code::Canceled));
+}
+
+#[test]
+fn a_surface_with_a_long_jagged_border_is_embedded_though_cuts_make_its_first_map_worse() {
+    // Every other face of a band is gone, on the way around a ball.
+    let whole = horned(3);
+    let kept: Vec<FaceId> =
+        whole.faces().filter(|f| f.index() % 5 != 0 || whole.triangle(*f)[0].z.abs() > 0.5).collect();
+    let torn = part(&whole, &kept);
+    let largest = pieces::divide(&torn, &vec![true; kept.len()]).build(&torn, &|_| false);
+    let largest = largest.into_iter().max_by_key(|p| p.faces.len()).expect("it has faces").atlas;
+    assert!(largest.face_count() > 100);
+    let settings = settings(4.2, Quality::Fast);
+    assert_holds(&solve(largest.clone(), None, &settings, NEVER).expect("it is never cancelled"), &largest, &settings);
 }
 
 #[test]
