@@ -321,7 +321,7 @@ fn a_queue_lost_under_the_service(how: &str, lose: impl Fn(&Path)) {
     let server = Server::start_with_log(data.path(), &flags);
     let path = server.accepted(&Form::sample());
     server.wait(&path);
-    let waits = server.accepted(&Form::long());
+    let waits = server.accepted(&Form::short());
     let queue = data.path().join("queue.sqlite");
     lose(&queue);
     let mut refused = server.submit(&Form::sample());
@@ -398,7 +398,7 @@ fn a_backup_made_while_the_service_runs_is_a_data_folder() {
     let done = server.accepted(&Form::sample());
     server.wait(&done);
     let model = model_of(&server, &done);
-    let running = server.accepted(&Form::long());
+    let running = server.accepted(&Form::short());
     let waiting = server.accepted(&Form::sample());
     let output = Command::new(env!("CARGO_BIN_EXE_intarsia"))
         .args(["backup", to.to_str().unwrap(), "--data-dir", data.path().to_str().unwrap()])

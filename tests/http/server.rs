@@ -207,10 +207,20 @@ impl Form {
         Form::default().file("model", "sample.glb", sample())
     }
 
-    /// A form with a scan that takes some seconds.
+    /// A form with a scan that takes half a minute: for jobs that are not waited for.
     pub fn long() -> Form {
         static SCAN: LazyLock<Vec<u8>> = LazyLock::new(|| intarsia::asset::sample::sample("scan_10000").unwrap());
-        Form::default().file("model", "scan.glb", &SCAN).text("options", r#"{"recipe": "scan"}"#)
+        Form::scan(&SCAN)
+    }
+
+    /// A form with a scan that takes some seconds: long enough to be at work when something happens, short enough to be waited for.
+    pub fn short() -> Form {
+        static SCAN: LazyLock<Vec<u8>> = LazyLock::new(|| intarsia::asset::sample::sample("scan_2000").unwrap());
+        Form::scan(&SCAN)
+    }
+
+    fn scan(model: &[u8]) -> Form {
+        Form::default().file("model", "scan.glb", model).text("options", r#"{"recipe": "scan"}"#)
     }
 
     pub fn file(mut self, field: &str, name: &str, bytes: &[u8]) -> Form {
