@@ -35,7 +35,7 @@ pub use line_cutter::{LineCutter, Segment};
 pub use mesh::{EdgeSplits, Mark, Mesh};
 pub use overlap::{Overlaps, orientation, overlapping_charts, overlaps, penetration, triangles_overlap};
 pub use topology::Topology;
-pub use trail::{Trail, TrailEnd, TrailPoint, TrailStart};
+pub use trail::{DividedTrail, Trail, TrailEnd, TrailPoint, TrailStart};
 
 use glam::{DVec2, DVec3};
 

@@ -49,6 +49,15 @@ pub struct Trail {
     pub end: TrailEnd,
 }
 
+/// What dividing a chart along a trail made.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct DividedTrail {
+    /// The half edges along the trail, from its start on.
+    pub path: Vec<HalfEdge>,
+    /// New faces, each after the one that it is a part of; that one remains as another part.
+    pub faces: Vec<(FaceId, FaceId)>,
+}
+
 /// Rounds of splitting: a seam can be crossed on both of its sides.
 const PASSES: usize = 8;
 
@@ -201,22 +210,23 @@ impl Mesh {
         }
     }
 
-    /// Cuts the chart open along a trail: edges that it crosses are split, faces divided along it. Gives the half edges along the trail, from
-    /// its start on; a stretch that ran to a length and not to a border ends at its last point.
-    pub fn cut_trail(&mut self, start: TrailStart, direction: DVec2, length: f64, snap: f64) -> Vec<HalfEdge> {
-        let path = self.divide_along(start, direction, length, snap);
-        self.cut(&path);
-        path
+    /// Cuts the chart open along a trail: edges that it crosses are split, faces divided along it. A stretch that ran to a length and not to a border ends at its
+    /// last point.
+    pub fn cut_trail(&mut self, start: TrailStart, direction: DVec2, length: f64, snap: f64) -> DividedTrail {
+        let divided = self.divide_along(start, direction, length, snap);
+        self.cut(&divided.path);
+        divided
     }
 
-    /// Divides the faces along a trail, without cutting: gives the half edges along it. Trails that cross it later find them.
-    pub fn divide_along(&mut self, start: TrailStart, direction: DVec2, length: f64, snap: f64) -> Vec<HalfEdge> {
-        let Some(first) = self.start_corner(start) else { return Vec::new() };
+    /// Divides the faces along a trail, without cutting. Trails that cross it later find them.
+    pub fn divide_along(&mut self, start: TrailStart, direction: DVec2, length: f64, snap: f64) -> DividedTrail {
+        let mut divided = DividedTrail::default();
+        let Some(first) = self.start_corner(start, &mut divided.faces) else { return divided };
         let first_uv = self.uv_at(first);
         for _ in 0..PASSES {
             // Splitting divides faces: the corner is found again by its vertex and what lies about it.
             let fan = self.fan(self.corner_towards(first, first_uv, direction));
-            let Some(&corner) = fan.first() else { return Vec::new() };
+            let Some(&corner) = fan.first() else { return divided };
             let trail = self.trail(TrailStart::Corner(corner), direction, length, snap);
             let mut splits: BTreeMap<(VertexId, VertexId), f64> = BTreeMap::new();
             for point in &trail.points {
@@ -227,15 +237,16 @@ impl Mesh {
                 }
             }
             if splits.is_empty() {
-                return self.path_along(&trail);
+                divided.path = self.path_along(&trail);
+                return divided;
             }
-            self.split_edges(&splits);
+            divided.faces.extend(self.split_edges(&splits).faces);
         }
-        Vec::new()
+        divided
     }
 
     /// The corner at which a trail starts; a start on an edge becomes a vertex, of the face that the half edge was of or of a part of it.
-    fn start_corner(&mut self, start: TrailStart) -> Option<HalfEdge> {
+    fn start_corner(&mut self, start: TrailStart, made_faces: &mut Vec<(FaceId, FaceId)>) -> Option<HalfEdge> {
         let (h, t) = match start {
             TrailStart::Corner(corner) => return Some(corner),
             TrailStart::Edge(h, t) => (h, t),
@@ -243,6 +254,7 @@ impl Mesh {
         let face = h.face();
         let made = self.split_edge(h, t);
         let uv = made.uvs.iter().find(|u| u.0 == face)?.2;
+        made_faces.extend(&made.faces);
         let parts = made.faces.iter().filter(|f| f.1 == face).map(|f| f.0).chain([face]);
         parts.flat_map(|f| (0..3).map(move |k| HalfEdge::of(f, k))).find(|c| self.uv_at(*c) == uv)
     }
@@ -314,7 +326,7 @@ mod tests {
         assert_eq!(trail.end, TrailEnd::Border);
         assert!((trail.length - 6.0).abs() < 1e-12 && trail.points.len() == 13, "{trail:?}");
         let path = mesh.cut_trail(TrailStart::Edge(h, 0.3), DVec2::X, f64::INFINITY, 1e-9);
-        assert_eq!(path.len(), 12);
+        assert_eq!(path.path.len(), 12);
         assert_eq!(Charts::new(mesh.topology()).len(), 2);
         check(&start, mesh.atlas(), Exactness::Exact).unwrap();
     }
@@ -331,7 +343,7 @@ mod tests {
         {
             let mut mesh = Mesh::new(start.clone());
             let path = mesh.cut_trail(TrailStart::Corner(corner(&mesh, from)), direction, f64::INFINITY, 1e-9);
-            assert_eq!((path.len(), mesh.atlas().face_count()), (edges, start.face_count()), "{from} {direction}");
+            assert_eq!((path.path.len(), mesh.atlas().face_count()), (edges, start.face_count()), "{from} {direction}");
             assert_eq!(Charts::new(mesh.topology()).len(), 2);
         }
         let mesh = Mesh::new(start);
@@ -378,7 +390,7 @@ mod tests {
                 let h = borders[rng.next() as usize % borders.len()];
                 let direction = rng.point(2.0) - DVec2::ONE;
                 cut += usize::from(
-                    !mesh.cut_trail(TrailStart::Edge(h, 0.1 + 0.8 * rng.unit()), direction, 1e9, 1e-7).is_empty(),
+                    !mesh.cut_trail(TrailStart::Edge(h, 0.1 + 0.8 * rng.unit()), direction, 1e9, 1e-7).path.is_empty(),
                 );
             }
             let after = mesh.into_atlas();

@@ -2,6 +2,7 @@
 //!
 //! Nothing here knows an Atlas: vertices are indices, triangles are triples of them, positions are points of the plane.
 
+pub(crate) mod alignment;
 pub(crate) mod arap;
 pub(crate) mod cholesky;
 pub(crate) mod dirichlet;

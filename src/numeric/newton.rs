@@ -1,23 +1,81 @@
 //! Projected Newton (Teran et al. 2005) with a line search that turns no triangle over (Smith and Schaefer 2015, section 3.3).
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 
+use super::alignment::AlignedEdge;
 use super::dirichlet::{RestTriangle, step_bound};
 use super::multifrontal::{FIXED, Factor, Structure};
 
-/// A triangle whose deformation costs energy.
+/// What costs energy.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Element {
-    /// Its vertices.
-    pub corners: [u32; 3],
-    /// What it is at rest.
-    pub rest: RestTriangle,
+pub(crate) enum Element {
+    /// A triangle whose deformation does.
+    Triangle {
+        /// Its vertices.
+        corners: [u32; 3],
+        /// What it is at rest.
+        rest: RestTriangle,
+    },
+    /// An edge that is to turn.
+    Edge(AlignedEdge),
 }
 
 impl Element {
-    fn at(&self, x: &[DVec2]) -> [DVec2; 3] {
-        self.corners.map(|v| x[v as usize])
+    /// Its vertices; [`FIXED`] where it has fewer than three.
+    pub fn corners(&self) -> [u32; 3] {
+        match self {
+            Element::Triangle { corners, .. } => *corners,
+            Element::Edge(edge) => [edge.ends[0], edge.ends[1], FIXED],
+        }
     }
+
+    fn weight(&self) -> f64 {
+        match self {
+            Element::Triangle { rest, .. } => rest.weight,
+            Element::Edge(_) => 0.0,
+        }
+    }
+
+    fn energy(&self, x: &[DVec2]) -> f64 {
+        match self {
+            Element::Triangle { corners, rest } => rest.energy(corners.map(|v| x[v as usize])),
+            Element::Edge(edge) => edge.energy(vector(edge, x)),
+        }
+    }
+
+    fn gradient(&self, x: &[DVec2]) -> (f64, [DVec2; 3]) {
+        match self {
+            Element::Triangle { corners, rest } => rest.gradient(corners.map(|v| x[v as usize])),
+            Element::Edge(edge) => {
+                let e = vector(edge, x);
+                let gradient = edge.gradient(e);
+                (edge.energy(e), [-gradient, gradient, DVec2::ZERO])
+            }
+        }
+    }
+
+    fn projected_hessian(&self, x: &[DVec2]) -> [DMat2; 6] {
+        match self {
+            Element::Triangle { corners, rest } => rest.projected_hessian(corners.map(|v| x[v as usize])),
+            Element::Edge(edge) => {
+                let own = edge.projected_hessian(vector(edge, x));
+                [own, -own, own, DMat2::ZERO, DMat2::ZERO, DMat2::ZERO]
+            }
+        }
+    }
+
+    /// How far along the directions `p` of its corners it can go.
+    fn step_bound(&self, x: &[DVec2], p: [DVec2; 3]) -> f64 {
+        match self {
+            Element::Triangle { corners, .. } => step_bound(corners.map(|v| x[v as usize]), p),
+            Element::Edge(_) => f64::INFINITY,
+        }
+    }
+}
+
+/// An edge as it lies.
+fn vector(edge: &AlignedEdge, x: &[DVec2]) -> DVec2 {
+    x[edge.ends[1] as usize] - x[edge.ends[0] as usize]
 }
 
 /// What a step did.
@@ -46,26 +104,29 @@ pub(crate) struct Workspace {
     /// Place among the free vertices, by vertex.
     place: Vec<u32>,
     factor: Factor,
+    /// The order of elimination of the last step, and what it is of.
+    structure: Option<(Vec<[u32; 3]>, Structure)>,
 }
 
 /// The sum of the elements' energies.
 pub(crate) fn energy(x: &[DVec2], elements: &[Element]) -> f64 {
-    elements.iter().map(|e| e.rest.energy(e.at(x))).sum()
+    elements.iter().map(|e| e.energy(x)).sum()
 }
 
 /// One step that moves the `free` vertices of `x`. All elements must be injective before, and stay so. `None` where the
 /// energy is not finite.
 pub(crate) fn step(x: &mut [DVec2], elements: &[Element], free: &[u32], workspace: &mut Workspace) -> Option<Step> {
-    let Workspace { place, factor } = workspace;
+    let Workspace { place, factor, structure } = workspace;
     place.resize(x.len().max(place.len()), FIXED);
     free.iter().enumerate().for_each(|(k, &v)| place[v as usize] = k as u32);
-    let triangles: Vec<[u32; 3]> = elements.iter().map(|e| e.corners.map(|v| place[v as usize])).collect();
+    let place_of = |v: u32| if v == FIXED { FIXED } else { place[v as usize] };
+    let triangles: Vec<[u32; 3]> = elements.iter().map(|e| e.corners().map(place_of)).collect();
     free.iter().for_each(|&v| place[v as usize] = FIXED);
 
     let mut before = 0.0;
     let mut p = vec![DVec2::ZERO; free.len()];
     for (element, places) in elements.iter().zip(&triangles) {
-        let (own, gradient) = element.rest.gradient(element.at(x));
+        let (own, gradient) = element.gradient(x);
         before += own;
         for (place, g) in places.iter().zip(gradient) {
             if *place != FIXED {
@@ -79,10 +140,14 @@ pub(crate) fn step(x: &mut [DVec2], elements: &[Element], free: &[u32], workspac
     let gradient = p.iter().map(|g| g.length_squared()).sum::<f64>().sqrt();
     let downhill = p.clone();
     let at: Vec<DVec2> = free.iter().map(|&v| x[v as usize]).collect();
-    let structure = Structure::new(&at, &triangles);
-    let mean = elements.iter().map(|e| e.rest.weight).sum::<f64>() / elements.len().max(1) as f64;
+    // What moves and what hangs together is the same in most steps.
+    let (_, structure) = match structure.take().filter(|(of, _)| *of == triangles) {
+        Some(known) => structure.insert(known),
+        None => structure.insert((triangles.clone(), Structure::new(&at, &triangles))),
+    };
+    let mean = elements.iter().map(Element::weight).sum::<f64>() / elements.len().max(1) as f64;
     let mut ridge = RIDGE * mean;
-    let hessian = |e: u32| elements[e as usize].rest.projected_hessian(elements[e as usize].at(x));
+    let hessian = |e: u32| elements[e as usize].projected_hessian(x);
     while !structure.factor(ridge, hessian, factor) {
         ridge *= 100.0;
         if ridge.is_nan() || ridge > 1e9 {
@@ -96,7 +161,7 @@ pub(crate) fn step(x: &mut [DVec2], elements: &[Element], free: &[u32], workspac
     let bound = elements
         .iter()
         .zip(&triangles)
-        .map(|(e, places)| step_bound(e.at(x), places.map(direction)))
+        .map(|(e, places)| e.step_bound(x, places.map(direction)))
         .fold(f64::INFINITY, f64::min);
     let mut alpha = (NEAREST * bound).min(1.0);
     let none = Step { before, after: before, alpha: 0.0, gradient };
@@ -132,7 +197,7 @@ mod tests {
                 for corners in [[at(i, j), at(i, j + 1), at(i + 1, j)], [at(i, j + 1), at(i + 1, j + 1), at(i + 1, j)]]
                 {
                     let rest = RestTriangle::new(corners.map(|v| rest[v as usize]), 1.0).expect("it has an area");
-                    elements.push(Element { corners, rest });
+                    elements.push(Element::Triangle { corners, rest });
                 }
             }
         }

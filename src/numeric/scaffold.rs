@@ -3,6 +3,9 @@
 use glam::DVec2;
 use spade::{ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation};
 
+/// How much higher a void triangle that is too low wants to be, as a factor: more, and a new cut would tear at its sides.
+const WIDENED: f64 = 2.0;
+
 /// A point of the triangulation.
 struct Site(DVec2);
 
@@ -55,6 +58,24 @@ pub(crate) fn void_triangles(
         }
     }
     Some(triangles)
+}
+
+/// A triangle that is lower than `least` over its longest edge, raised to that height: at rest the void is nowhere narrower, so that what
+/// touches pushes back instead of creeping closer for ever.
+pub(crate) fn raised(triangle: [DVec2; 3], least: f64) -> [DVec2; 3] {
+    let lengths = [0, 1, 2].map(|k| triangle[k].distance_squared(triangle[(k + 1) % 3]));
+    let k = (0..3).max_by(|a, b| lengths[*a].total_cmp(&lengths[*b])).unwrap_or(0);
+    let (a, b, c) = (triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]);
+    let length = lengths[k].sqrt();
+    let normal = (b - a).perp() / length;
+    let height = normal.dot(c - a);
+    let wanted = least.min(WIDENED * height);
+    if height.is_nan() || height >= wanted {
+        return triangle;
+    }
+    let mut out = triangle;
+    out[(k + 2) % 3] = c + normal * (wanted - height);
+    out
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! The stages, from Atlas to Atlas, and the recipe that runs them in order.
 
+pub mod bounded;
 pub mod box_cutter;
 mod check;
 pub mod defrag;

@@ -131,7 +131,7 @@ fn spacing(sheet_info: &SheetInfo, pack: &Pack, scaled: bool) -> Spacing {
 }
 
 /// The longest side that a sheet may have, and what sides are rounded to.
-fn sides(sheet_info: &SheetInfo, options: &Options) -> (f64, Rounding) {
+pub(super) fn sides(sheet_info: &SheetInfo, options: &Options) -> (f64, Rounding) {
     let texture = &options.texture;
     let step = f64::from(lcm(texture.multiple_of, sheet_info.unit).unwrap_or(u32::MAX));
     let round = match (sheet_info.is_virtual, texture.power_of_two) {

@@ -7,6 +7,7 @@ use utoipa::PartialSchema;
 use utoipa::openapi::schema::Ref;
 use utoipa::openapi::{Object, RefOr, Schema};
 
+use super::bounded::params::Bounded;
 use super::box_cutter::params::BoxCutter;
 use super::defrag::params::Defrag;
 use super::erased::{ErasedStage, NamedSchemas};
@@ -20,6 +21,7 @@ static STAGES: &[fn() -> ErasedStage] = &[
     ErasedStage::of::<BoxCutter>,
     ErasedStage::of::<Defrag>,
     ErasedStage::of::<OptCuts>,
+    ErasedStage::of::<Bounded>,
     #[cfg(test)]
     ErasedStage::of::<super::tests::nudge::Nudge>,
 ];

@@ -7,14 +7,12 @@ use glam::DVec2;
 use crate::atlas::{Atlas, FaceId, HalfEdge, Mesh, UvId, VertexId};
 use crate::numeric::dirichlet::RestTriangle;
 use crate::numeric::newton::{self, Element, Workspace};
-use crate::numeric::scaffold::void_triangles;
+use crate::numeric::scaffold::{raised, void_triangles};
 
 /// Energy of all void triangles together, in parts of that of an isometry of the whole surface (Jiang et al. 2017 take a hundredth).
 const VOID_ENERGY: f64 = 0.01;
 /// Height in mean edges below which a void triangle wants to be higher.
 const NARROWEST: f64 = 0.1;
-/// How much higher such a triangle wants to be, as a factor: more, and a new cut would tear at its sides.
-const WIDENED: f64 = 2.0;
 /// Part of the vertices beyond which all move in a local step.
 const MOST_LOCAL: f64 = 0.67;
 
@@ -177,7 +175,10 @@ impl CutMap {
     }
 
     fn element(&self, face: FaceId) -> Element {
-        Element { corners: self.mesh.atlas().corners[face.index()].map(|u| u.0), rest: self.rest[face.index()] }
+        Element::Triangle {
+            corners: self.mesh.atlas().corners[face.index()].map(|u| u.0),
+            rest: self.rest[face.index()],
+        }
     }
 
     /// The corners about a UV vertex.
@@ -225,7 +226,7 @@ impl CutMap {
     pub fn global_step(&mut self) -> Option<newton::Step> {
         let elements: Vec<Element> = self.mesh.atlas().faces().map(|f| self.element(f)).collect();
         let mut free = vec![false; self.x.len()];
-        elements.iter().flat_map(|e| e.corners).for_each(|v| free[v as usize] = true);
+        elements.iter().flat_map(Element::corners).for_each(|v| free[v as usize] = true);
         let mut free: Vec<u32> = (0..free.len() as u32).filter(|v| free[*v as usize]).collect();
         if self.bijective {
             let borders: Vec<[u32; 2]> = self.borders.iter().map(|h| self.mesh.uv_ends(*h).map(|u| u.0)).collect();
@@ -275,7 +276,7 @@ impl CutMap {
         }
         let topology = self.mesh.topology();
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-        for v in elements.iter().flat_map(|e| e.corners) {
+        for v in elements.iter().flat_map(Element::corners) {
             low = low.min(self.x[v as usize]);
             high = high.max(self.x[v as usize]);
         }
@@ -342,29 +343,11 @@ impl CutMap {
                 continue;
             }
             if let Some(rest) = RestTriangle::new(raised(corners.map(|v| self.x[v as usize]), least), weight) {
-                elements.push(Element { corners, rest });
+                elements.push(Element::Triangle { corners, rest });
             }
         }
         let step = newton::step(&mut self.x, &elements, free, &mut self.workspace);
         self.x.truncate(n);
         step
     }
-}
-
-/// A triangle that is lower than `least` over its longest edge, raised to that height: at rest the void is nowhere narrower, so that what
-/// touches pushes back instead of creeping closer for ever.
-fn raised(triangle: [DVec2; 3], least: f64) -> [DVec2; 3] {
-    let lengths = [0, 1, 2].map(|k| triangle[k].distance_squared(triangle[(k + 1) % 3]));
-    let k = (0..3).max_by(|a, b| lengths[*a].total_cmp(&lengths[*b])).unwrap_or(0);
-    let (a, b, c) = (triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]);
-    let length = lengths[k].sqrt();
-    let normal = (b - a).perp() / length;
-    let height = normal.dot(c - a);
-    let wanted = least.min(WIDENED * height);
-    if height.is_nan() || height >= wanted {
-        return triangle;
-    }
-    let mut out = triangle;
-    out[(k + 2) % 3] = c + normal * (wanted - height);
-    out
 }

@@ -26,7 +26,8 @@ use serde_json::{Map, Value, json};
 
 use self::assemble::{Solved, assemble};
 use self::params::{ISOMETRIC, MOST, MaxDistortion, OptCuts, Start};
-use self::pieces::{Piece, Strain, all_apart, divide, is_degenerate, seam_length, surface_area};
+pub(super) use self::pieces::seam_length;
+use self::pieces::{Piece, Strain, all_apart, divide, is_degenerate, surface_area};
 use self::solver::{Settings, Solution, solve};
 use super::pack::finished;
 use super::stage::{StageInput, Staged};

@@ -395,7 +395,7 @@ pub(super) fn all_apart(piece: &Atlas) -> Atlas {
 }
 
 /// Length of the seams on the surface, each once, its boundary apart.
-pub(super) fn seam_length(atlas: &Atlas) -> f64 {
+pub(in crate::refine) fn seam_length(atlas: &Atlas) -> f64 {
     let topology = Topology::new(atlas);
     let seams = topology.half_edges().filter(|h| topology.across_seam(*h).is_some_and(|twin| *h < twin));
     // No seams are zero, and not minus zero.

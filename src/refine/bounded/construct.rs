@@ -1,0 +1,250 @@
+//! Axis-aligned charts of all disks (section 3.1), and the trails that divide them.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::angles::{global_rotation, smoothed, targets};
+use super::arrangement::{Arrangement, arrange};
+use super::chart_map::ChartMap;
+use super::deform::{deform, flatten};
+use super::prepare::{Disk, Labels, Layout, NO_DISK, Prepared, Target, embed};
+use super::subdivide::{flattened_edges, split_at_middles};
+use crate::atlas::{FaceId, HalfEdge, Mesh};
+use crate::error::Result;
+
+/// How charts are made axis-aligned.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Construction {
+    /// Standard deviation of smoothing, in parts of the boundary's length.
+    pub sigma: f64,
+    /// What a corner costs, in parts of the square root of the chart's area.
+    pub corner: f64,
+    /// What is kept near: the shape on the surface, or the uploaded one.
+    pub target: Target,
+}
+
+/// An axis-aligned disk.
+#[derive(Debug, Clone)]
+pub(super) struct AlignedDisk {
+    pub map: ChartMap,
+    pub targets: Vec<i32>,
+    pub arrangement: Arrangement,
+    /// Whether it had to become a plain rectangle.
+    pub is_fallback: bool,
+}
+
+/// All disks axis-aligned.
+#[derive(Debug, Clone)]
+pub(super) struct Constructed {
+    pub mesh: Mesh,
+    pub labels: Labels,
+    pub layout: Layout,
+    pub disks: Vec<AlignedDisk>,
+    /// By disk: what it was made of.
+    pub info: Vec<Disk>,
+    /// What is kept near.
+    pub target: Target,
+}
+
+/// Rounds of dividing faces that would be flattened.
+const ROUNDS: usize = 4;
+
+/// Makes all disks axis-aligned.
+///
+/// # Errors
+/// What `interrupt` gives.
+pub(super) fn construct(
+    prepared: &Prepared,
+    how: &Construction,
+    weight: &(dyn Fn(&Mesh, FaceId) -> f64 + Sync),
+    interrupt: &(dyn Fn() -> Result<()> + Sync),
+) -> Result<Constructed> {
+    let mut own = prepared.clone();
+    let start = |d: &Disk| -> Option<Aimed> {
+        let mut map = own.map(d, how.target)?;
+        let targets = if map.is_valid() { aim(&mut map, how) } else { None };
+        Some(Aimed { map, targets: targets.unwrap_or_default() })
+    };
+    let mut aimed: Vec<Option<Aimed>> = own.disks.par_iter().map(start).collect();
+    let mut aligned: Vec<Option<AlignedDisk>> = vec![None; aimed.len()];
+    for is_fallback in [false, true] {
+        if is_fallback {
+            // What did not succeed becomes a plain rectangle.
+            for (own, _) in aimed.iter_mut().zip(&aligned).filter(|(_, done)| done.is_none()) {
+                *own = own.take().and_then(|a| Some(Aimed { targets: rectangle(&a.map)?, map: a.map }));
+            }
+        }
+        subdivide(&mut own, &mut aimed, how.target, interrupt)?;
+        let done: Vec<Option<ChartMap>> = aimed
+            .par_iter()
+            .map(|a| {
+                let Some(Aimed { map, targets }) = a.as_ref().filter(|a| !a.targets.is_empty()) else {
+                    return Ok(None);
+                };
+                let mut map = map.clone();
+                if is_fallback && !onto_rectangle(&mut map, targets) {
+                    return Ok(None);
+                }
+                let kept = is_fallback.then(|| map.x.clone());
+                if deform(&mut map, targets, interrupt)?.is_ok() {
+                    return Ok(Some(map));
+                }
+                // The rectangle as it was embedded will do.
+                let Some(kept) = kept else { return Ok(None) };
+                map.x = kept;
+                Ok(flatten(&mut map, targets).is_ok().then_some(map))
+            })
+            .collect::<Result<_>>()?;
+        for ((out, map), from) in aligned.iter_mut().zip(done).zip(&mut aimed) {
+            if let (Some(map), Some(a)) = (map, &*from) {
+                let arrangement = Arrangement::default();
+                *out = Some(AlignedDisk { map, targets: a.targets.clone(), arrangement, is_fallback });
+                *from = None;
+            }
+        }
+    }
+    for disk in aligned.iter().flatten() {
+        for (u, x) in disk.map.uvs.iter().zip(&disk.map.x) {
+            own.mesh.move_uv(*u, *x);
+        }
+    }
+    let mesh = &own.mesh;
+    let weight = |f: FaceId| weight(mesh, f);
+    aligned.par_iter_mut().flatten().for_each(|d| {
+        // A chart in which trails get lost stays whole.
+        d.arrangement = arrange(mesh, &d.map, &d.targets, &[], &weight).unwrap_or_else(|| Arrangement::whole(&d.map));
+    });
+    // A disk without a map keeps no place among them.
+    let mut name = Vec::with_capacity(aligned.len());
+    let (mut disks, mut info) = (Vec::new(), Vec::new());
+    for (d, of) in aligned.into_iter().zip(own.disks) {
+        name.push(if d.is_some() { disks.len() as u32 } else { NO_DISK });
+        info.extend(d.is_some().then_some(of));
+        disks.extend(d);
+    }
+    own.labels.disk.iter_mut().filter(|d| **d != NO_DISK).for_each(|d| *d = name[*d as usize]);
+    Ok(Constructed { mesh: own.mesh, labels: own.labels, layout: own.layout, disks, info, target: how.target })
+}
+
+/// A disk and what its boundary edges are to become.
+struct Aimed {
+    map: ChartMap,
+    /// Empty where it cannot be aimed.
+    targets: Vec<i32>,
+}
+
+/// Divides faces that the targets would flatten, until there are none. Boundaries stay, and with them the targets.
+fn subdivide(
+    own: &mut Prepared,
+    aimed: &mut [Option<Aimed>],
+    target: Target,
+    interrupt: &(dyn Fn() -> Result<()> + Sync),
+) -> Result<()> {
+    for _ in 0..ROUNDS {
+        interrupt()?;
+        let flat = |(d, a): (usize, &Option<Aimed>)| {
+            let a = a.as_ref().filter(|a| !a.targets.is_empty())?;
+            let edges = flattened_edges(&own.mesh, &a.map, &a.targets);
+            (!edges.is_empty()).then_some((d, edges))
+        };
+        let flat: Vec<(usize, Vec<HalfEdge>)> = aimed.par_iter().enumerate().filter_map(flat).collect();
+        if flat.is_empty() {
+            break;
+        }
+        let edges: Vec<HalfEdge> = flat.iter().flat_map(|(_, e)| e.iter().copied()).collect();
+        let made = split_at_middles(&mut own.mesh, &edges);
+        own.labels.extend(&made);
+        for (new, _) in made {
+            let d = own.labels.disk[new.index()];
+            if d != NO_DISK {
+                own.disks[d as usize].faces.push(new);
+            }
+        }
+        let again = |(d, _): &(usize, _)| {
+            let old = &aimed[*d].as_ref()?.map;
+            let mut map = own.map(&own.disks[*d], target)?;
+            let first = old.uvs[old.boundary[0] as usize];
+            let at = map.boundary.iter().position(|v| map.uvs[*v as usize] == first)?;
+            map.boundary.rotate_left(at);
+            map.rest_lengths.rotate_left(at);
+            turn(&mut map, old.turned);
+            (map.boundary.len() == old.boundary.len()).then_some(map)
+        };
+        let again: Vec<Option<ChartMap>> = flat.par_iter().map(again).collect();
+        for ((d, _), map) in flat.iter().zip(again) {
+            aimed[*d] = aimed[*d].take().and_then(|a| Some(Aimed { map: map?, ..a }));
+        }
+    }
+    Ok(())
+}
+
+/// Turns a chart so that its boundary is as near to the axes as can be, and gives the target angles of its edges; none where there are too few.
+fn aim(map: &mut ChartMap, how: &Construction) -> Option<Vec<i32>> {
+    let lengths = map.lengths();
+    let total: f64 = lengths.iter().sum();
+    let angles = smoothed(&map.polar_angles(), &lengths, how.sigma * total);
+    let by = global_rotation(&angles, &lengths);
+    turn(map, by);
+    let angles: Vec<f64> = angles.iter().map(|a| a + by).collect();
+    targets(&angles, &lengths, how.corner * map.area().abs().sqrt())
+}
+
+fn turn(map: &mut ChartMap, by: f64) {
+    map.turned += by;
+    let turn = DVec2::from_angle(by);
+    map.x.iter_mut().for_each(|p| *p = turn.rotate(*p));
+}
+
+/// Target angles that make a disk a plain rectangle, the last resort, of about the aspect that its boundary has about its area.
+fn rectangle(map: &ChartMap) -> Option<Vec<i32>> {
+    let n = map.boundary.len();
+    if n < 4 {
+        return None;
+    }
+    let lengths = &map.rest_lengths;
+    let half = lengths.iter().sum::<f64>() / 2.0;
+    let long = long_side(map, half);
+    let mut at = Vec::with_capacity(n);
+    let mut along = 0.0;
+    for l in lengths {
+        at.push(along);
+        along += l;
+    }
+    let mut corners: Vec<usize> = Vec::with_capacity(4);
+    for (k, stop) in [0.0, long, half, half + long].into_iter().enumerate() {
+        let from = corners.last().map_or(0, |c| c + 1);
+        let off = |i: usize| (at[i] - stop).abs();
+        corners.push((from..n - (3 - k)).min_by(|&a, &b| off(a).total_cmp(&off(b)).then(a.cmp(&b)))?);
+    }
+    let side = |i: usize| corners.iter().filter(|c| **c <= i).count() as i32 - 1;
+    Some((0..n).map(side).collect())
+}
+
+/// The longer side of a rectangle with that half circumference and the area of the disk, as far as that is no sliver.
+fn long_side(map: &ChartMap, half: f64) -> f64 {
+    let root = (half * half / 4.0 - map.rest_area).max(0.0).sqrt();
+    (half / 2.0 + root).min(0.9 * half)
+}
+
+/// Lays a disk onto the rectangle with these target angles: its boundary by lengths, the rest by Tutte's embedding (1963). False where that fails.
+fn onto_rectangle(map: &mut ChartMap, targets: &[i32]) -> bool {
+    let half = map.rest_lengths.iter().sum::<f64>() / 2.0;
+    let long = long_side(map, half);
+    let scale = (map.rest_area / (long * (half - long))).sqrt();
+    let size = DVec2::new(long, half - long) * scale;
+    let places = [DVec2::ZERO, DVec2::new(size.x, 0.0), size, DVec2::new(0.0, size.y)];
+    let mut held = vec![false; map.x.len()];
+    for k in 0..4 {
+        let own: Vec<usize> = (0..targets.len()).filter(|i| targets[*i] == k as i32).collect();
+        let side: f64 = own.iter().map(|i| map.rest_lengths[*i]).sum();
+        let mut along = 0.0;
+        for (j, &i) in own.iter().enumerate() {
+            let part = if side > 0.0 { along / side } else { j as f64 / own.len() as f64 };
+            let v = map.boundary[i] as usize;
+            map.x[v] = places[k] + (places[(k + 1) % 4] - places[k]) * part;
+            held[v] = true;
+            along += map.rest_lengths[i];
+        }
+    }
+    embed(map, &held) && map.is_valid()
+}

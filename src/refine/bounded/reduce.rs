@@ -1,0 +1,235 @@
+//! Distortion reduction with a bounded packing efficiency (section 3.3, Algorithm 2).
+
+use glam::DVec2;
+
+use crate::error::Result;
+use crate::numeric::dirichlet::RestTriangle;
+use crate::numeric::newton::{self, Element, Workspace};
+use crate::numeric::scaffold::{raised, void_triangles};
+
+/// All charts on a sheet, as triangles over common vertices.
+#[derive(Debug, Clone)]
+pub(super) struct PackedCharts {
+    pub x: Vec<DVec2>,
+    /// With positive areas.
+    pub triangles: Vec<[u32; 3]>,
+    /// Weights are such that an isometry of all has the energy 1.
+    pub rest: Vec<RestTriangle>,
+    /// Directed edges with their chart, and its layer, on the left.
+    pub walls: Vec<[u32; 2]>,
+    /// Vertices on the boundaries of charts.
+    pub border: Vec<u32>,
+    /// Boundary edges with the number of their chart.
+    pub segments: Vec<([u32; 2], u32)>,
+    /// The layer about each chart: triangles and their shape at rest, heavy.
+    pub layer: Vec<([u32; 3], RestTriangle)>,
+    /// Boxes that stay where they are, and are no part of the charts: what lies in them was not to be changed.
+    pub fixed: Vec<(DVec2, DVec2)>,
+    /// The same with the layer about them.
+    pub fixed_walls: Vec<(DVec2, DVec2)>,
+    /// Whether every chart has a layer, where they are to be apart.
+    pub has_layers: bool,
+    /// Area that is covered in them.
+    pub fixed_area: f64,
+}
+
+/// What is to be kept and reached.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reduction {
+    /// Least packing efficiency.
+    pub efficiency: f64,
+    /// Energy at which it is enough.
+    pub enough: f64,
+    /// What charts are to be apart.
+    pub gap: f64,
+    /// Rounds of growing the box at most.
+    pub rounds: usize,
+    /// Steps in a round at most.
+    pub steps: usize,
+}
+
+/// What was reached.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reduced {
+    pub energy: f64,
+    pub efficiency: f64,
+    pub steps: usize,
+}
+
+/// Energy of all void triangles together, in parts of that of an isometry of all charts.
+const VOID_ENERGY: f64 = 0.01;
+/// Height in mean edges below which a void triangle wants to be higher.
+const NARROWEST: f64 = 0.1;
+/// How often a step that leaves the charts packed too loosely is halved.
+const HALVINGS: usize = 8;
+/// Rounds in which the box grows.
+const GROWING: usize = 6;
+/// Relative decrease of a step below which a round ends.
+const STILL: f64 = 1e-4;
+
+impl Default for PackedCharts {
+    fn default() -> Self {
+        PackedCharts {
+            x: Vec::new(),
+            triangles: Vec::new(),
+            rest: Vec::new(),
+            walls: Vec::new(),
+            border: Vec::new(),
+            segments: Vec::new(),
+            layer: Vec::new(),
+            fixed: Vec::new(),
+            fixed_walls: Vec::new(),
+            has_layers: true,
+            fixed_area: 0.0,
+        }
+    }
+}
+
+impl PackedCharts {
+    pub fn energy(&self) -> f64 {
+        self.triangles.iter().zip(&self.rest).map(|(t, r)| r.energy(t.map(|v| self.x[v as usize]))).sum()
+    }
+
+    pub fn area(&self) -> f64 {
+        self.triangles.iter().map(|t| super::chart_map::area(t.map(|v| self.x[v as usize]))).sum()
+    }
+
+    /// The box about all charts and all that stays.
+    pub fn bounds(&self) -> (DVec2, DVec2) {
+        let points = self.border.iter().map(|v| self.x[*v as usize]).chain(self.fixed.iter().flat_map(|b| [b.0, b.1]));
+        points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)))
+    }
+
+    /// The box about their layers too.
+    fn outer_bounds(&self) -> (DVec2, DVec2) {
+        let points = self.walls.iter().flatten().map(|v| self.x[*v as usize]);
+        let points = points.chain(self.fixed_walls.iter().flat_map(|b| [b.0, b.1]));
+        points.fold(self.bounds(), |(low, high), p| (low.min(p), high.max(p)))
+    }
+
+    /// Whether charts are at least `gap` apart.
+    pub fn are_apart(&self, gap: f64) -> bool {
+        let own = self.segments.iter().map(|(s, c)| (s.map(|v| self.x[v as usize]), *c));
+        let fixed = self.fixed.iter().zip(u32::MAX - self.fixed.len() as u32..).flat_map(|((low, high), c)| {
+            let corners = [*low, DVec2::new(high.x, low.y), *high, DVec2::new(low.x, high.y)];
+            (0..4).map(move |k| ([corners[k], corners[(k + 1) % 4]], c))
+        });
+        super::layer::are_apart(&own.chain(fixed).collect::<Vec<_>>(), gap)
+    }
+
+    /// Area of the charts over area of the box about them.
+    pub fn efficiency(&self) -> f64 {
+        let (low, high) = self.bounds();
+        (self.area() + self.fixed_area) / (high - low).element_product()
+    }
+}
+
+/// Lowers the distortion while no two charts touch and they stay packed well enough.
+pub(super) fn reduce(
+    charts: &mut PackedCharts,
+    goal: &Reduction,
+    interrupt: &dyn Fn() -> Result<()>,
+) -> Result<Reduced> {
+    let mut workspace = Workspace::default();
+    let n = charts.x.len();
+    let free: Vec<u32> = (0..n as u32).collect();
+    let mut energy = charts.energy();
+    let mut taken = 0;
+    // The box grows from what the charts need now to what the bound allows, and they press against each other before it does.
+    let (low, high) = charts.bounds();
+    let (size, middle) = (high - low, 0.5 * (low + high));
+    let mut good = (charts.x.clone(), energy);
+    for round in 0..goal.rounds {
+        let (inner, outer) = (charts.bounds(), charts.outer_bounds());
+        let part = ((round + 1) as f64 / GROWING as f64).min(1.0);
+        let area = charts.area() + charts.fixed_area;
+        let allowed = (area / goal.efficiency / size.element_product()).sqrt() * (1.0 - 5e-4);
+        let grown = 1.0 + part * (allowed - 1.0).max(0.0);
+        let extent = (outer.1 - middle).max(middle - outer.0);
+        let margin = (outer.1 - outer.0 - inner.1 + inner.0) * 0.5;
+        let half = (0.5 * size * grown + margin).max(extent * (1.0 + 1e-4));
+        let (low, high) = (middle - half, middle + half);
+        let mut gained = 0.0;
+        for _ in 0..goal.steps {
+            interrupt()?;
+            let kept = charts.x.clone();
+            let Some(step) = step(charts, &free, low, high, &mut workspace) else { break };
+            taken += 1;
+            let mut halvings = 0;
+            while charts.efficiency() < goal.efficiency && halvings < HALVINGS {
+                halvings += 1;
+                charts.x.iter_mut().zip(&kept).for_each(|(x, old)| *x = *old + (*x - *old) * 0.5);
+            }
+            if charts.efficiency() < goal.efficiency {
+                charts.x = kept;
+                break;
+            }
+            let now = charts.energy();
+            let own = energy - now;
+            energy = now;
+            gained += own;
+            if step.alpha == 0.0 || own < STILL * now * step.alpha || energy <= goal.enough {
+                break;
+            }
+        }
+        if goal.gap > 0.0 && !charts.are_apart(goal.gap) {
+            // What came too near is undone, and nothing comes nearer after that.
+            break;
+        }
+        good = (charts.x.clone(), energy);
+        if energy <= goal.enough || part >= 1.0 && gained < STILL * energy {
+            break;
+        }
+    }
+    (charts.x, energy) = good;
+    Ok(Reduced { energy, efficiency: charts.efficiency(), steps: taken })
+}
+
+/// One Newton step of all charts and the void between them in a box.
+fn step(
+    charts: &mut PackedCharts,
+    free: &[u32],
+    low: DVec2,
+    high: DVec2,
+    workspace: &mut Workspace,
+) -> Option<newton::Step> {
+    let n = charts.x.len();
+    // What stays is walled in, at places behind the charts' own.
+    let mut walls = charts.walls.clone();
+    for (low, high) in &charts.fixed_walls {
+        let first = charts.x.len() as u32;
+        charts.x.extend([*low, DVec2::new(high.x, low.y), *high, DVec2::new(low.x, high.y)]);
+        walls.extend((0..4).map(|k| [first + k, first + (k + 1) % 4]));
+    }
+    let placed = charts.x.len();
+    let mut points: Vec<u32> = walls.iter().flatten().copied().collect();
+    points.sort_unstable();
+    points.dedup();
+    let mut local = vec![u32::MAX; placed];
+    points.iter().enumerate().for_each(|(k, v)| local[*v as usize] = k as u32);
+    let at: Vec<DVec2> = points.iter().map(|v| charts.x[*v as usize]).collect();
+    walls.iter_mut().for_each(|w| *w = w.map(|v| local[v as usize]));
+    let borders = walls.len();
+    let Some(void) = void_triangles(&at, &walls, borders, low, high) else {
+        charts.x.truncate(n);
+        return None;
+    };
+    let pairs = charts.triangles.iter().zip(&charts.rest);
+    let layer = charts.layer.iter().map(|(corners, rest)| (corners, rest));
+    let triangle = |(corners, rest): (&[u32; 3], &RestTriangle)| Element::Triangle { corners: *corners, rest: *rest };
+    let mut elements: Vec<Element> = pairs.chain(layer).map(triangle).collect();
+    charts.x.extend([low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)]);
+    let mean = charts.area() / charts.triangles.len().max(1) as f64;
+    let least = NARROWEST * (mean * 4.0 / 3f64.sqrt()).sqrt();
+    let weight = VOID_ENERGY / void.len().max(1) as f64;
+    for t in void {
+        let corners = t.map(|v| points.get(v as usize).copied().unwrap_or((placed + v as usize - points.len()) as u32));
+        let shape = raised(corners.map(|v| charts.x[v as usize]), least);
+        if let Some(rest) = RestTriangle::new(shape, weight) {
+            elements.push(Element::Triangle { corners, rest });
+        }
+    }
+    let step = newton::step(&mut charts.x, &elements, free, workspace);
+    charts.x.truncate(n);
+    step
+}

@@ -1,0 +1,266 @@
+//! The parts on a sheet: boxes packed, and what becomes of them in the Atlas.
+
+use std::collections::BTreeMap;
+
+use glam::DVec2;
+
+use super::chart_map::{WEIGHT, area, rest_triangle};
+use super::construct::Constructed;
+use super::cut::bounds;
+use super::layer::layer;
+use super::prepare::{Labels, NO_DISK, boundary, rest_shape};
+use super::reduce::PackedCharts;
+use crate::atlas::{Atlas, Charts, FaceId, Mesh, UvId};
+use crate::error::Warning;
+use crate::numeric::dirichlet::RestTriangle;
+use crate::packing::{RectanglePacker, RectangleRequest, Rotation};
+use crate::refine::pack::sides;
+use crate::refine::stage::StageInput;
+use crate::texture::Size;
+
+/// Weight of the layer about charts, in units of its area's share.
+const STIFF: f64 = 4.0;
+/// How much wider the layer is than it must be.
+const WIDER: f64 = 1.1;
+
+/// A part of a chart, or what stays as it is.
+#[derive(Debug, Clone)]
+pub(super) struct Piece {
+    pub faces: Vec<FaceId>,
+    /// Whether it stays in its shape.
+    pub is_rigid: bool,
+    pub low: DVec2,
+    pub high: DVec2,
+    /// Where its box lies, and whether it is turned by a quarter.
+    pub at: DVec2,
+    pub turned: bool,
+}
+
+impl Piece {
+    fn new(mesh: &Mesh, faces: Vec<FaceId>, is_rigid: bool) -> Self {
+        let (low, high) = bounds(mesh, &faces);
+        Piece { faces, is_rigid, low, high, at: DVec2::ZERO, turned: false }
+    }
+
+    /// Sides of its box as it lies.
+    fn size(&self) -> DVec2 {
+        let own = self.high - self.low;
+        if self.turned { DVec2::new(own.y, own.x) } else { own }
+    }
+
+    /// Where a place of it comes to lie.
+    fn place(&self, p: DVec2) -> DVec2 {
+        let own = p - self.low;
+        let own = if self.turned { DVec2::new(self.high.y - self.low.y - own.y, own.x) } else { own };
+        self.at + own
+    }
+}
+
+/// All parts packed.
+#[derive(Debug, Clone)]
+pub(super) struct Packed {
+    pub pieces: Vec<Piece>,
+    pub charts: PackedCharts,
+    /// By UV vertex: its vertex among the charts'.
+    pub name: Vec<u32>,
+}
+
+/// Texels that must be free between two charts so that the gutter is: along an axis a texel more than the gutter has.
+pub(super) fn gap(input: &StageInput<'_>) -> f64 {
+    let unit = f64::from(input.sheet_info.unit);
+    match input.sheet_info.gutter(&input.options.pack) {
+        0 => 0.0,
+        g => (f64::from(g) + 1.0) * unit,
+    }
+}
+
+/// Aspect that the box should have: that of the sheet where there is one.
+pub(super) fn aspect(input: &StageInput<'_>) -> Option<f64> {
+    let of = |size: [u32; 2]| f64::from(size[0]) / f64::from(size[1]);
+    match input.options.texture.size {
+        Size::KeepSize => Some(of(input.sheet_info.reference)),
+        Size::Fixed(size) => Some(of(size)),
+        Size::KeepDensity if input.options.texture.power_of_two => Some(input.options.pack.aspect.unwrap_or(1.0)),
+        Size::KeepDensity => input.options.pack.aspect,
+    }
+}
+
+/// Whether parts may be turned by a quarter.
+pub(super) fn turns(input: &StageInput<'_>) -> bool {
+    input.options.pack.rotation != Rotation::None
+}
+
+/// Packs the boxes about all parts, and about what stays as it is. `cluster` by uploaded face: what stays together is one; [`NO_DISK`] where a face is by itself.
+pub(super) fn pack(
+    mesh: &Mesh,
+    labels: &Labels,
+    constructed: &Constructed,
+    cluster: &[u32],
+    [padding, gap]: [f64; 2],
+    request: &RectangleRequest,
+) -> Packed {
+    let charts = Charts::new(mesh.topology());
+    let mut pieces: Vec<Piece> = Vec::new();
+    // What stays, by cluster; what is in none stays by itself.
+    let mut rigid: BTreeMap<(u32, usize), Vec<FaceId>> = BTreeMap::new();
+    for (c, faces) in charts.faces.into_iter().enumerate() {
+        if labels.disk[faces[0].index()] == NO_DISK {
+            let own = cluster[labels.origin[faces[0].index()].index()];
+            rigid.entry((own, if own == NO_DISK { c } else { 0 })).or_default().extend(faces);
+        } else {
+            pieces.push(Piece::new(mesh, faces, false));
+        }
+    }
+    pieces.extend(rigid.into_values().map(|faces| Piece::new(mesh, faces, true)));
+    let sizes: Vec<DVec2> = pieces.iter().map(|p| p.high - p.low + padding).collect();
+    if let Some(packing) = RectanglePacker::default().pack(&sizes, request) {
+        for (piece, place) in pieces.iter_mut().zip(packing.places) {
+            (piece.at, piece.turned) = (place.at + 0.5 * padding, place.turned);
+        }
+    }
+    let (charts, name) = charts_of(mesh, labels, constructed, &pieces, gap);
+    Packed { pieces, charts, name }
+}
+
+/// The parts that may change their shape, where they lie.
+fn charts_of(
+    mesh: &Mesh,
+    labels: &Labels,
+    constructed: &Constructed,
+    pieces: &[Piece],
+    gap: f64,
+) -> (PackedCharts, Vec<u32>) {
+    let atlas = mesh.atlas();
+    let mut out = PackedCharts::default();
+    let mut name = vec![u32::MAX; atlas.uv.len()];
+    let own = || pieces.iter().filter(|p| !p.is_rigid);
+    let info = |f: FaceId| &constructed.info[labels.disk[f.index()] as usize];
+    let shape = |f: FaceId| rest_shape(atlas, &constructed.layout, labels, f, info(f), constructed.target);
+    let total: f64 = own().flat_map(|p| &p.faces).filter_map(|f| shape(*f)).map(area).sum();
+    let count = own().map(|p| p.faces.len()).sum::<usize>().max(1);
+    let mean = total / count as f64;
+    for (piece, number) in own().zip(0..) {
+        let reversed = info(piece.faces[0]).reversed;
+        for &f in &piece.faces {
+            let corners = atlas.corners[f.index()].map(|u| {
+                let own = &mut name[u.index()];
+                if *own == u32::MAX {
+                    *own = out.x.len() as u32;
+                    out.x.push(piece.place(atlas.uv[u.index()]));
+                }
+                *own
+            });
+            let rest = rest_triangle(shape(f), reversed, mean, total);
+            // Every shape with an area has one.
+            let Some(rest) = rest else { continue };
+            out.triangles.push(if reversed { [corners[0], corners[2], corners[1]] } else { corners });
+            out.rest.push(rest);
+        }
+        let Some(loop_) = boundary(mesh, &piece.faces) else { continue };
+        let mut around: Vec<u32> = loop_.iter().map(|h| name[mesh.uv_at(*h).index()]).collect();
+        if reversed {
+            around.reverse();
+        }
+        let n = around.len();
+        out.border.extend(&around);
+        let edges = (0..n).map(|i| [around[i], around[(i + 1) % n]]);
+        out.segments.extend(edges.clone().map(|e| (e, number)));
+        let width = 0.5 * gap * WIDER;
+        let points: Vec<DVec2> = around.iter().map(|v| out.x[*v as usize]).collect();
+        match (gap > 0.0).then(|| layer(&points, width)).flatten() {
+            Some(made) => {
+                let first = out.x.len() as u32;
+                out.x.extend(&made.outer);
+                let outer = |i: usize| first + made.of[i % n];
+                for i in 0..n {
+                    let (p, q) = (around[i], around[(i + 1) % n]);
+                    let (a, b) = (outer(i), outer(i + 1));
+                    let mut add = |corners: [u32; 3]| {
+                        let own = corners.map(|v| out.x[v as usize]);
+                        let weight = STIFF * WEIGHT * area(own).max(0.0) / total;
+                        out.layer.extend(RestTriangle::new(own, weight).map(|rest| (corners, rest)));
+                    };
+                    if a != b {
+                        add([p, a, b]);
+                        out.walls.push([a, b]);
+                    }
+                    add([p, b, q]);
+                }
+            }
+            None => {
+                out.has_layers &= gap == 0.0;
+                out.walls.extend(edges);
+            }
+        }
+    }
+    for piece in pieces.iter().filter(|p| p.is_rigid) {
+        let (low, high) = (piece.at, piece.at + piece.size());
+        let wide = DVec2::splat(0.5 * gap);
+        out.fixed.push((low, high));
+        out.fixed_walls.push((low - wide, high + wide));
+        out.fixed_area += piece.faces.iter().map(|f| atlas.uv_area(*f).abs()).sum::<f64>();
+    }
+    (out, name)
+}
+
+/// The Atlas with its parts where they have been packed, on a sheet of its own.
+pub(super) fn assemble(input: &StageInput<'_>, mesh: &Mesh, packed: &Packed) -> Atlas {
+    let mut next = mesh.atlas().clone();
+    let (low, high) = packed.charts.bounds();
+    let options = input.options;
+    let unit = f64::from(input.sheet_info.unit);
+    let gutter = f64::from(input.sheet_info.gutter(&options.pack));
+    let margin = if gutter > 0.0 { (gutter / 2.0).ceil().max(1.0) * unit } else { 0.0 };
+    let size = high - low;
+    let room = DVec2::splat(2.0 * margin);
+    let (scale, sheet) = sheet_size(input, size, room);
+    for piece in packed.pieces.iter().filter(|p| p.is_rigid) {
+        let mut uvs: Vec<UvId> = piece.faces.iter().flat_map(|f| next.corners[f.index()]).collect();
+        uvs.sort_unstable();
+        uvs.dedup();
+        for u in uvs {
+            next.uv[u.index()] = piece.place(next.uv[u.index()]);
+        }
+    }
+    for (uv, name) in next.uv.iter_mut().zip(&packed.name) {
+        if *name != u32::MAX {
+            *uv = packed.charts.x[*name as usize];
+        }
+    }
+    for uv in &mut next.uv {
+        *uv = ((*uv - low) * scale + margin).max(DVec2::ZERO);
+    }
+    next.page.fill(0);
+    next.sheets = vec![sheet];
+    next.drop_unused_uvs();
+    next
+}
+
+/// Scale of the layout and sides of its sheet, for a box of this size and what is to be free about it.
+fn sheet_size(input: &StageInput<'_>, size: DVec2, room: DVec2) -> (f64, [u32; 2]) {
+    let options = input.options;
+    let fitted = |sheet: [f64; 2]| ((DVec2::from(sheet) - room).max(DVec2::ONE) / size).min_element();
+    let whole = |sheet: [f64; 2]| sheet.map(|s| s.round().max(1.0) as u32);
+    match options.texture.size {
+        Size::KeepSize => {
+            let sheet = input.sheet_info.reference.map(f64::from);
+            return (fitted(sheet), whole(sheet));
+        }
+        Size::Fixed(size) => {
+            let sheet = size.map(f64::from);
+            return (fitted(sheet), whole(sheet));
+        }
+        Size::KeepDensity => {}
+    }
+    let (max, round) = sides(input.sheet_info, options);
+    let sheet = (size + room).to_array().map(|s| round.up(s));
+    if sheet[0] <= max && sheet[1] <= max {
+        return (1.0, whole(sheet));
+    }
+    let (id, side) = (input.sheet_info.id, options.texture.max_size);
+    let text = format!("the charts of atlas {id} are scaled down to fit on a sheet of {side} texels");
+    input.context.warn(Warning::new("scaled_to_fit", text));
+    let scale = fitted([max; 2]).min(1.0);
+    let sheet = (size * scale + room).to_array().map(|s| round.up(s).min(max));
+    (scale, whole(sheet))
+}
