@@ -37,7 +37,7 @@ pub use orientation::Orientation;
 pub(crate) use orientation::l1_norm;
 pub(crate) use outline::fill;
 pub(crate) use random::Random;
-pub(crate) use rectangles::{PlacedRectangle, RectanglePacker, RectanglePacking, RectangleRequest};
+pub(crate) use rectangles::{RectanglePacker, RectangleRequest};
 pub(crate) use search::RULES;
 pub use search::pack;
 pub(crate) use shape::{Shape, Shapes};

@@ -107,14 +107,20 @@ impl RectanglePacker {
             None => [(total / WIDEST).sqrt(), (total * WIDEST).sqrt()],
         };
         let (low, high) = (low.max(narrowest), high.max(narrowest));
-        let steps = request.widths.max(1);
+        // The more there are, the less it matters how they are placed, and the longer it takes.
+        let (orders, rules, widths) = match sizes.len() {
+            0..=100 => (ORDERS.as_slice(), RULES.as_slice(), request.widths),
+            101..=1000 => (&ORDERS[..2], &RULES[..2], request.widths.min(12)),
+            _ => (&ORDERS[..1], &RULES[..1], request.widths.min(4)),
+        };
+        let steps = widths.max(1);
         let mut best: Option<RectanglePacking> = None;
         let mut order: Vec<usize> = (0..sizes.len()).collect();
-        for key in ORDERS {
+        for key in orders {
             order.sort_by(|&a, &b| key(sizes[b]).total_cmp(&key(sizes[a])).then(a.cmp(&b)));
             for step in 0..steps {
                 let width = low + (high - low) * step as f64 / (steps - 1).max(1) as f64;
-                for rule in RULES {
+                for &rule in rules {
                     let bound = best.as_ref().map_or(f64::INFINITY, |b| b.area(request.aspect));
                     // Beyond this height the box would be larger than the best one.
                     let ceiling = match request.aspect {
@@ -234,5 +240,65 @@ impl RectanglePacker {
             }
         }
         self.free.append(&mut self.kept);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::packing::Random;
+
+    const FREE: RectangleRequest = RectangleRequest { turns: true, aspect: None, widths: 8 };
+
+    fn is_sound(sizes: &[DVec2], packing: &RectanglePacking, turns: bool) {
+        let spans: Vec<Span> = sizes
+            .iter()
+            .zip(&packing.places)
+            .map(|(s, p)| {
+                assert!(turns || !p.turned);
+                let s = if p.turned { DVec2::new(s.y, s.x) } else { *s };
+                Span { low: p.at, high: p.at + s }
+            })
+            .collect();
+        for (i, a) in spans.iter().enumerate() {
+            assert!(a.low.cmpge(DVec2::ZERO).all() && a.high.cmple(packing.size * (1.0 + 1e-12)).all());
+            for b in &spans[i + 1..] {
+                let common = a.high.min(b.high) - a.low.max(b.low);
+                assert!(common.min_element() < 1e-9 * packing.size.max_element(), "{a:?} {b:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_overlaps_and_the_box_holds_all() {
+        let mut random = Random::new(3);
+        for round in 0..120 {
+            let n = if round == 0 { 1200 } else { 1 + random.below(40) };
+            let sizes: Vec<DVec2> =
+                (0..n).map(|_| DVec2::new(0.1 + 3.0 * random.unit(), 0.1 + random.unit().powi(3))).collect();
+            let turns = round % 3 != 1;
+            let aspect = (round % 4 == 2).then_some(1.5);
+            let packing = RectanglePacker::default().pack(&sizes, &RectangleRequest { turns, aspect, ..FREE }).unwrap();
+            is_sound(&sizes, &packing, turns);
+            let total: f64 = sizes.iter().map(|s| s.element_product()).sum();
+            assert!(packing.area(aspect) >= total * (1.0 - 1e-12));
+            if n > 20 {
+                assert!(total / packing.area(None) > 0.8, "{n}: {}", total / packing.area(None));
+            }
+        }
+        assert_eq!(RectanglePacker::default().pack(&[], &FREE), None);
+    }
+
+    #[test]
+    fn what_tiles_a_box_is_put_together() {
+        let pack =
+            |sizes: &[DVec2], request: &RectangleRequest| RectanglePacker::default().pack(sizes, request).unwrap();
+        assert_eq!(pack(&[DVec2::ONE; 9], &FREE).area(None), 9.0);
+        // Five pieces about a square, as a pinwheel.
+        let pinwheel = [[2.0, 1.0], [2.0, 1.0], [1.0, 2.0], [1.0, 2.0], [1.0, 1.0]].map(DVec2::from);
+        assert!(pack(&pinwheel, &RectangleRequest { widths: 40, ..FREE }).area(None) <= 10.0);
+        // A single one has the aspect that it has; of a given aspect, the box about it counts.
+        let one = pack(&[DVec2::new(10.0, 1.0)], &FREE);
+        assert_eq!((one.area(None), one.area(Some(1.0))), (10.0, 100.0));
     }
 }

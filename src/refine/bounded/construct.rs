@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::angles::{global_rotation, smoothed, targets};
 use super::arrangement::{Arrangement, arrange};
 use super::chart_map::ChartMap;
-use super::deform::{deform, flatten};
+use super::deform::{deform, flatten, runs};
 use super::prepare::{Disk, Labels, Layout, NO_DISK, Prepared, Target, embed};
 use super::subdivide::{flattened_edges, split_at_middles};
 use crate::atlas::{FaceId, HalfEdge, Mesh};
@@ -21,6 +21,8 @@ pub(super) struct Construction {
     pub corner: f64,
     /// What is kept near: the shape on the surface, or the uploaded one.
     pub target: Target,
+    /// Length of the parts of sides between which trails may start too, where corners do not suffice; infinite where they are to.
+    pub part: f64,
 }
 
 /// An axis-aligned disk.
@@ -42,10 +44,14 @@ pub(super) struct Constructed {
     pub disks: Vec<AlignedDisk>,
     /// By disk: what it was made of.
     pub info: Vec<Disk>,
+    /// By disk: its number before those that failed were left out.
+    pub number: Vec<usize>,
     /// What is kept near.
     pub target: Target,
 }
 
+/// What corners cost where the first try fails; that of the first stands for it.
+const OTHERWISE: [f64; 5] = [0.0, 0.0, 0.05, 0.15, 0.4];
 /// Rounds of dividing faces that would be flattened.
 const ROUNDS: usize = 4;
 
@@ -56,7 +62,7 @@ const ROUNDS: usize = 4;
 pub(super) fn construct(
     prepared: &Prepared,
     how: &Construction,
-    weight: &(dyn Fn(&Mesh, FaceId) -> f64 + Sync),
+    weights: Option<&[f64]>,
     interrupt: &(dyn Fn() -> Result<()> + Sync),
 ) -> Result<Constructed> {
     let mut own = prepared.clone();
@@ -67,12 +73,21 @@ pub(super) fn construct(
     };
     let mut aimed: Vec<Option<Aimed>> = own.disks.par_iter().map(start).collect();
     let mut aligned: Vec<Option<AlignedDisk>> = vec![None; aimed.len()];
-    for is_fallback in [false, true] {
-        if is_fallback {
-            // What did not succeed becomes a plain rectangle.
-            for (own, _) in aimed.iter_mut().zip(&aligned).filter(|(_, done)| done.is_none()) {
-                *own = own.take().and_then(|a| Some(Aimed { targets: rectangle(&a.map)?, map: a.map }));
-            }
+    let last = OTHERWISE.len();
+    for round in 0..=last {
+        let is_fallback = round == last;
+        if round > 0 {
+            // What did not succeed is tried with other corners, and becomes a plain rectangle at last.
+            let again = |(own, _): (&mut Option<Aimed>, &Option<AlignedDisk>)| {
+                let Some(Aimed { mut map, .. }) = own.take() else { return };
+                let targets = match OTHERWISE.get(round) {
+                    Some(corner) if map.is_valid() => aim(&mut map, &Construction { corner: *corner, ..*how }),
+                    Some(_) => None,
+                    None => rectangle(&map),
+                };
+                *own = Some(Aimed { map, targets: targets.unwrap_or_default() });
+            };
+            aimed.par_iter_mut().zip(&aligned).filter(|(_, done)| done.is_none()).for_each(again);
         }
         subdivide(&mut own, &mut aimed, how.target, interrupt)?;
         let done: Vec<Option<ChartMap>> = aimed
@@ -109,21 +124,46 @@ pub(super) fn construct(
         }
     }
     let mesh = &own.mesh;
-    let weight = |f: FaceId| weight(mesh, f);
+    let origin = &own.labels.origin;
+    let weight = |f: FaceId| weights.map_or(1.0, |w| w[origin[f.index()].index()]);
     aligned.par_iter_mut().flatten().for_each(|d| {
         // A chart in which trails get lost stays whole.
-        d.arrangement = arrange(mesh, &d.map, &d.targets, &[], &weight).unwrap_or_else(|| Arrangement::whole(&d.map));
+        d.arrangement = arrange(mesh, &d.map, &d.targets, &more(&d.map, &d.targets, how.part), &weight)
+            .unwrap_or_else(|| Arrangement::whole(&d.map));
     });
     // A disk without a map keeps no place among them.
     let mut name = Vec::with_capacity(aligned.len());
-    let (mut disks, mut info) = (Vec::new(), Vec::new());
-    for (d, of) in aligned.into_iter().zip(own.disks) {
+    let (mut disks, mut info, mut number) = (Vec::new(), Vec::new(), Vec::new());
+    for (k, (d, of)) in aligned.into_iter().zip(own.disks).enumerate() {
+        number.extend(d.is_some().then_some(k));
         name.push(if d.is_some() { disks.len() as u32 } else { NO_DISK });
         info.extend(d.is_some().then_some(of));
         disks.extend(d);
     }
     own.labels.disk.iter_mut().filter(|d| **d != NO_DISK).for_each(|d| *d = name[*d as usize]);
-    Ok(Constructed { mesh: own.mesh, labels: own.labels, layout: own.layout, disks, info, target: how.target })
+    Ok(Constructed { mesh: own.mesh, labels: own.labels, layout: own.layout, disks, info, number, target: how.target })
+}
+
+/// Boundary vertices that divide the sides into parts of about a length.
+fn more(map: &ChartMap, targets: &[i32], part: f64) -> Vec<usize> {
+    let mut out = Vec::new();
+    if part.is_infinite() {
+        return out;
+    }
+    for (run, _) in runs(targets) {
+        let total: f64 = run.iter().map(|i| map.edge(*i).length()).sum();
+        let parts = (total / part).round().max(1.0);
+        let mut along = 0.0;
+        let mut next = 1.0;
+        for pair in run.windows(2) {
+            along += map.edge(pair[0]).length();
+            if next < parts && along >= (next - 0.25) * total / parts {
+                out.push(pair[1]);
+                next = (along / total * parts).floor().max(next) + 1.0;
+            }
+        }
+    }
+    out
 }
 
 /// A disk and what its boundary edges are to become.

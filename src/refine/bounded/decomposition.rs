@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::arrangement::Arrangement;
 use crate::atlas::groups::DisjointSets;
-use crate::packing::{Random, RectanglePacker, RectanglePacking, RectangleRequest};
+use crate::packing::{Random, RectanglePacker, RectangleRequest};
 
 /// Longest side of a rectangle in units of the other.
 const SLENDER: f64 = 20.0;
@@ -154,85 +154,186 @@ pub(super) struct Goal {
     pub is_published: bool,
 }
 
-/// Divisions of all charts and the packing of their rectangles.
+/// Divisions of all charts that are to be cut.
 #[derive(Debug, Clone)]
 pub(super) struct Chosen {
     pub divisions: Vec<Division>,
-    pub packing: RectanglePacking,
-    /// Area of the rectangles over area of the box.
-    pub efficiency: f64,
-    /// What all cuts cost.
-    pub cost: f64,
+    judgement: Judgement,
 }
 
-/// What a missing hundredth of packing efficiency counts, in parts of the seams before: more than any cut that might mend it.
+/// What divisions are worth.
+#[derive(Debug, Clone, Copy)]
+struct Judgement {
+    /// Area of the parts over area of the box.
+    efficiency: f64,
+    /// What all cuts cost.
+    cost: f64,
+    /// Parts that are slivers, and charts in which a part lies on itself.
+    faults: usize,
+    /// The less, the better.
+    value: f64,
+}
+
+/// What missing packing efficiency counts, in parts of the seams before: more than any cut that might mend it.
 const MISSING: f64 = 10.0;
 /// Temperature of the search at its begin and end, in parts of the seams before.
 const WARM: f64 = 0.02;
 const COLD: f64 = 0.0005;
+/// Rectangles that are packed in a whole search, squared: fewer tries for more.
+const WORK: f64 = 4e6;
+/// Weight of the boundary's growth in the published score (omega of eq. 11).
+const OMEGA: f64 = 0.1;
 
-/// Searches for the shortest cuts with which the rectangles of all charts can be packed well enough: simulated annealing over the orders of the motorcycles.
-/// The best that is found, whether it is good enough or not; `None` where nothing is to be packed.
+/// A search for the cuts with which the boxes about the parts of all charts can be packed well enough.
+struct Searcher<'a> {
+    charts: &'a [Arrangement],
+    goal: &'a Goal,
+    packer: RectanglePacker,
+    divider: Divider,
+    sizes: Vec<DVec2>,
+}
+
+/// Searches for the shortest cuts with which the boxes about the parts of all charts can be packed well enough: the charts that waste most are cut at all their
+/// corners, then by simulated annealing over the orders of the motorcycles. The best that is found, whether it is good enough or not; `None` where nothing is to
+/// be packed.
 pub(super) fn search(charts: &[Arrangement], goal: &Goal, random: &mut Random) -> Option<Chosen> {
-    let mut divider = Divider::default();
-    let mut packer = RectanglePacker::default();
-    let mut orders: Vec<Order> = charts.iter().map(greedy).collect();
-    let mut divisions: Vec<Division> = charts.iter().zip(&orders).map(|(c, o)| divider.divide(c, o)).collect();
-    let mut judge = |divisions: &[Division]| -> Option<(f64, Chosen)> {
-        let rectangles = || divisions.iter().flat_map(|d| &d.rectangles).map(|(low, high)| *high - *low);
-        let cost: f64 = divisions.iter().map(|d| d.cost).sum();
-        let sizes: Vec<DVec2> = rectangles().map(|s| s + goal.padding).collect();
-        let packing = packer.pack(&sizes, &goal.request)?;
+    let mut searcher =
+        Searcher { charts, goal, packer: RectanglePacker::default(), divider: Divider::default(), sizes: Vec::new() };
+    if goal.is_published { searcher.by_score(random) } else { searcher.shortest(random) }
+}
+
+impl Searcher<'_> {
+    fn judge(&mut self, divisions: &[Division]) -> Option<Judgement> {
+        let Goal { padding, seams, .. } = *self.goal;
+        self.sizes.clear();
+        self.sizes.extend(divisions.iter().flat_map(|d| &d.rectangles).map(|(low, high)| *high - *low + padding));
+        let box_area = self.packer.pack(&self.sizes, &self.goal.request)?.area(self.goal.request.aspect);
         let area: f64 = divisions.iter().flat_map(|d| &d.areas).sum();
-        let efficiency = area / packing.area(goal.request.aspect);
-        let slender = rectangles().filter(|s| s.max_element() > SLENDER * s.min_element()).count();
-        let folded = divisions.iter().filter(|d| d.folded).count();
-        let value =
-            cost / goal.seams + folded as f64 + MISSING * (goal.efficiency - efficiency).max(0.0) + slender as f64;
-        Some((value, Chosen { divisions: divisions.to_vec(), packing, efficiency, cost }))
-    };
-    let (mut value, first) = judge(&divisions)?;
-    let (mut best, mut least) = (first, value);
-    let movable: Vec<usize> = (0..charts.len()).filter(|c| charts[*c].motorcycles.len() > 1).collect();
-    if movable.is_empty() {
-        return Some(best);
-    }
-    for round in 0..goal.tries {
-        let temperature = WARM * (COLD / WARM).powf(round as f64 / goal.tries as f64);
-        let c = movable[random.below(movable.len())];
-        let n = charts[c].motorcycles.len();
-        let before = orders[c].clone();
-        for _ in 0..1 + random.below(2) {
-            let own = &mut orders[c];
-            let from = random.below(n);
-            let m = own.motorcycles.remove(from);
-            let to = if random.below(2) == 0 { from } else { random.below(n) };
-            own.motorcycles.insert(to, m);
-            if to == from || !own.on[m as usize] {
-                own.on[m as usize] = !own.on[m as usize];
-            }
-        }
-        let division = divider.divide(&charts[c], &orders[c]);
-        if division.ran == divisions[c].ran {
-            continue;
-        }
-        let old = std::mem::replace(&mut divisions[c], division);
-        // What costs too much needs no packing.
+        let efficiency = area / box_area;
+        let is_sliver = |s: &&DVec2| s.max_element() - padding > SLENDER * (s.min_element() - padding);
+        // What was not cut has the shape that it has.
+        let slivers = divisions.iter().filter(|d| !d.ran.is_empty()).flat_map(|d| &d.rectangles);
+        let slivers = slivers.filter(|(low, high)| is_sliver(&&(*high - *low + padding))).count();
+        let faults = slivers + divisions.iter().filter(|d| d.folded).count();
         let cost: f64 = divisions.iter().map(|d| d.cost).sum();
-        let limit = value - temperature * random.unit().max(1e-12).ln();
-        let judged = if cost / goal.seams > limit { None } else { judge(&divisions) };
-        match judged {
-            Some((new, chosen)) if new <= limit => {
-                value = new;
-                if new < least {
-                    (best, least) = (chosen, new);
+        let value = cost / seams + MISSING * (self.goal.efficiency - efficiency).max(0.0) + faults as f64;
+        Some(Judgement { efficiency, cost, faults, value })
+    }
+
+    fn divide(&mut self, chart: usize, order: &Order) -> Division {
+        self.divider.divide(&self.charts[chart], order)
+    }
+
+    fn shortest(&mut self, random: &mut Random) -> Option<Chosen> {
+        let Goal { seams, efficiency: goal, .. } = *self.goal;
+        let mut orders: Vec<Order> = self.charts.iter().map(greedy).collect();
+        let cut: Vec<Division> = (0..orders.len()).map(|c| self.divide(c, &orders[c])).collect();
+        let whole: Vec<Division> = orders
+            .iter()
+            .enumerate()
+            .map(|(c, o)| self.divide(c, &Order { on: vec![false; o.on.len()], ..o.clone() }))
+            .collect();
+        // Those that lie on themselves are cut in any case; then those whose boxes waste most for what their cuts cost.
+        let waste = |d: &Division| {
+            d.rectangles.iter().map(|(low, high)| (*high - *low).element_product()).sum::<f64>()
+                - d.areas.iter().sum::<f64>()
+        };
+        let gain = |c: usize| {
+            if whole[c].folded { f64::INFINITY } else { (waste(&whole[c]) - waste(&cut[c])) / cut[c].cost.max(1e-300) }
+        };
+        let mut ranked: Vec<usize> = (0..orders.len()).filter(|c| !cut[*c].ran.is_empty()).collect();
+        ranked.sort_by(|&a, &b| gain(b).total_cmp(&gain(a)).then(a.cmp(&b)));
+        let least = ranked.iter().take_while(|c| whole[**c].folded).count();
+        let with = |count: usize| {
+            let mut own = whole.clone();
+            ranked[..count].iter().for_each(|c| own[*c] = cut[*c].clone());
+            own
+        };
+        let (mut low, mut high) = (least, ranked.len());
+        while low < high {
+            let middle = (low + high) / 2;
+            if self.judge(&with(middle))?.efficiency >= goal { high = middle } else { low = middle + 1 }
+        }
+        for c in &ranked[high..] {
+            orders[*c].on.fill(false);
+        }
+        let mut divisions = with(high);
+        let first = self.judge(&divisions)?;
+        let (mut value, mut least) = (first.value, first.value);
+        let mut best = Chosen { divisions: divisions.clone(), judgement: first };
+        let movable: Vec<usize> = (0..self.charts.len()).filter(|c| !self.charts[*c].motorcycles.is_empty()).collect();
+        if movable.is_empty() {
+            return Some(best);
+        }
+        let size = self.sizes.len() as f64;
+        let tries = (self.goal.tries as f64).min(WORK / (size * size)) as usize;
+        let mut cost: f64 = divisions.iter().map(|d| d.cost).sum();
+        for round in 0..tries {
+            let temperature = WARM * (COLD / WARM).powf(round as f64 / tries as f64);
+            let c = movable[random.below(movable.len())];
+            let before = orders[c].clone();
+            for _ in 0..1 + random.below(2) {
+                shake(&mut orders[c], random);
+            }
+            let division = self.divide(c, &orders[c]);
+            if division.ran == divisions[c].ran {
+                continue;
+            }
+            let limit = value - temperature * random.unit().max(1e-12).ln();
+            let changed = cost - divisions[c].cost + division.cost;
+            let old = std::mem::replace(&mut divisions[c], division);
+            // What costs too much needs no packing.
+            let judged = if changed / seams > limit { None } else { self.judge(&divisions) };
+            match judged.filter(|j| j.value <= limit) {
+                Some(judged) => {
+                    (value, cost) = (judged.value, changed);
+                    if value < least {
+                        least = value;
+                        best = Chosen { divisions: divisions.clone(), judgement: judged };
+                    }
+                }
+                None => {
+                    divisions[c] = old;
+                    orders[c] = before;
                 }
             }
-            _ => {
-                divisions[c] = old;
-                orders[c] = before;
+        }
+        Some(best)
+    }
+
+    /// The random motorcycle graph with the best score PE - omega BL1 / BL0 among those that pack well enough (section 3.2): all corners are cut.
+    fn by_score(&mut self, random: &mut Random) -> Option<Chosen> {
+        let Goal { seams, efficiency: goal, tries, .. } = *self.goal;
+        let mut orders: Vec<Order> = self.charts.iter().map(greedy).collect();
+        let mut best: Option<Chosen> = None;
+        let score = |j: &Judgement| {
+            let is_in = j.efficiency >= goal && j.faults == 0;
+            (is_in, j.efficiency - OMEGA * (1.0 + j.cost / seams))
+        };
+        for _ in 0..tries {
+            for order in &mut orders {
+                for k in (1..order.motorcycles.len()).rev() {
+                    order.motorcycles.swap(k, random.below(k + 1));
+                }
+            }
+            let divisions: Vec<Division> = (0..orders.len()).map(|c| self.divide(c, &orders[c])).collect();
+            let judgement = self.judge(&divisions)?;
+            if best.as_ref().is_none_or(|b| score(&judgement) > score(&b.judgement)) {
+                best = Some(Chosen { divisions, judgement });
             }
         }
+        best
     }
-    Some(best)
+}
+
+/// Lets a motorcycle run earlier or later, or not, or again.
+fn shake(order: &mut Order, random: &mut Random) {
+    let n = order.motorcycles.len();
+    let from = random.below(n);
+    let m = order.motorcycles.remove(from);
+    let to = if random.below(2) == 0 { from } else { random.below(n) };
+    order.motorcycles.insert(to, m);
+    if to == from || !order.on[m as usize] {
+        order.on[m as usize] = !order.on[m as usize];
+    }
 }

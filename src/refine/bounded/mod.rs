@@ -37,9 +37,11 @@ use crate::error::{Result, Warning};
 use crate::packing::{Random, RectangleRequest};
 
 /// What corners cost in the constructions that are tried, in parts of the square root of a chart's area: few corners first.
-const CORNERS: [f64; 2] = [0.02, 0.0025];
-/// Packing efficiency of the boxes beyond the bound: what reduction may use up. In the order in which they are tried.
-const SLACK: [f64; 3] = [0.04, 0.08, 0.13];
+const CORNERS: [f64; 3] = [0.02, 0.004, 0.0008];
+/// What is tried: a construction, and packing efficiency of the boxes beyond the bound, which reduction may use up. Seams get longer, distortion less.
+const LADDER: [(usize, f64); 6] = [(0, 0.04), (0, 0.09), (1, 0.09), (1, 0.13), (2, 0.13), (2, 0.17)];
+/// Parts of sides between which trails may start where corners do not suffice for the bound, in parts of the square root of the area of all charts.
+const PARTS: [f64; 3] = [0.25, 0.12, 0.06];
 /// Highest packing efficiency that boxes are searched for.
 const TIGHTEST: f64 = 0.985;
 /// How much more distortion than in the input is no more, relative to it.
@@ -60,6 +62,8 @@ struct Attempt {
     pieces: usize,
     fallbacks: usize,
     steps: usize,
+    /// Disks with faces that 32 bits cannot hold.
+    unwritable: Vec<usize>,
 }
 
 /// Deforms, cuts, packs and relaxes.
@@ -94,46 +98,36 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
     }
     context.step(0.1, "opening charts into disks")?;
     let interrupt = || context.check();
-    let prepared = prepare(atlas, &held, &interrupt)?;
+    let mut prepared = prepare(atlas, &held, &interrupt)?;
     let target = match params.energy {
         Energy::Surface => Target::Surface,
         Energy::Uploaded => Target::Uploaded,
     };
-    let before = distortion_of(&prepared, target);
+    let weights = face_weights(input);
     let seams = seam_length(atlas);
-    let mut attempts: Vec<Attempt> = Vec::new();
+    let job = Job { input, params, cluster: &cluster, weights: weights.as_deref(), seams, target };
     let mut work = 0;
-    let total = CORNERS.len() * SLACK.len();
-    'tries: for (k, corner) in CORNERS.into_iter().enumerate() {
-        context.step(0.15 + 0.8 * k as f64 / CORNERS.len() as f64, "making charts axis-aligned")?;
-        let how = Construction { sigma: params.sigma, corner, target };
-        let constructed = construct(&prepared, &how, &|_, _| 1.0, &interrupt)?;
-        let slacks: &[f64] = if params.search == Search::Paper { &SLACK[1..2] } else { &SLACK };
-        for (s, slack) in slacks.iter().enumerate() {
-            let done = (k * SLACK.len() + s) as f64 / total as f64;
-            context.step(0.2 + 0.75 * done, "dividing, packing and relaxing")?;
-            let goal = (bound + slack).min(TIGHTEST);
-            let attempt = attempt(input, params, &constructed, &cluster, goal, [seams, before])?;
-            work += attempt.steps as u64 * attempt.atlas.uv.len() as u64;
-            let is_good = attempt.efficiency >= bound && attempt.distortion <= before * (1.0 + AS_GOOD);
-            attempts.push(attempt);
-            if is_good || context.out_of_time() {
-                break 'tries;
-            }
+    let mut kept_as_they_are = 0;
+    let (before, best) = loop {
+        let before = distortion_of(&prepared, target);
+        let best = job.best(&prepared, before, &mut work)?;
+        // A chart whose faces 32 bits cannot hold stays as it was.
+        let out: Vec<bool> =
+            (0..prepared.disks.len()).map(|d| best.as_ref().is_some_and(|b| b.unwritable.contains(&d))).collect();
+        let count = out.iter().filter(|x| **x).count();
+        if count == 0 {
+            break (before, best);
         }
-    }
-    let allowed = params.max_boundary_length.map_or(f64::INFINITY, |most| (most - 1.0) * seams);
-    // The bound first, then the limit on seams, then distortion and seams together.
-    let value = |a: &Attempt| {
-        let missing = (bound - a.efficiency).max(0.0);
-        let over = (a.cut - allowed).max(0.0) / seams.max(1e-300);
-        let worse = (a.distortion / before - 1.0 - AS_GOOD).max(0.0);
-        (missing, over, 5.0 * worse + a.cut / seams.max(1e-300))
+        kept_as_they_are += count;
+        prepared.exclude(&out);
     };
-    let best = attempts.into_iter().min_by(|a, b| {
-        let (a, b) = (value(a), value(b));
-        a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
-    });
+    if kept_as_they_are > 0 {
+        let text = format!(
+            "{kept_as_they_are} charts of atlas {} cannot be deformed without losing faces: they stay as they are",
+            sheet_info.id
+        );
+        context.warn(Warning::new("charts_kept", text));
+    }
     let Some(best) = best else {
         return Ok(Staged { atlas: atlas.clone(), stopped_by: "nothing_to_pack", figures: Map::new(), kept: true });
     };
@@ -160,58 +154,149 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
     Ok(finished(input, best.atlas, stopped_by, figures))
 }
 
-/// Divides the charts of a construction, packs the parts, and relaxes them.
-fn attempt(
-    input: &StageInput<'_>,
-    params: &Bounded,
-    constructed: &Constructed,
-    cluster: &[u32],
-    goal: f64,
-    [seams, before]: [f64; 2],
-) -> Result<Attempt> {
-    let context = input.context;
-    let gap = sheet::gap(input);
-    let charts: Vec<_> = constructed.disks.iter().map(|d| d.arrangement.clone()).collect();
-    let diagonal = bounds(input.atlas).length();
-    let padding = gap.max(params.padding * diagonal);
-    let aspect = sheet::aspect(input);
-    let wanted = Goal {
-        efficiency: goal,
-        padding,
-        seams: seams.max(1e-3 * diagonal),
-        request: RectangleRequest { turns: sheet::turns(input), aspect, widths: WIDTHS },
-        tries: params.candidates as usize,
-        is_published: params.search == Search::Paper,
-    };
-    let mut mesh = constructed.mesh.clone();
-    let mut labels = constructed.labels.clone();
-    if let Some(chosen) = search(&charts, &wanted, &mut Random::stream(context.seed, 0)) {
-        for ((own, division), d) in constructed.disks.iter().zip(&chosen.divisions).zip(0..) {
-            context.check()?;
-            cut::cut_chart(&mut mesh, &own.map, &own.arrangement, division, &mut labels, d);
-        }
-    }
-    let final_request = RectangleRequest { widths: FINAL_WIDTHS, ..wanted.request };
-    let mut packed = sheet::pack(&mesh, &labels, constructed, cluster, [padding, gap], &final_request);
-    let mut steps = 0;
-    let mut distortion = packed.charts.energy();
-    if !params.keep_mapping && packed.charts.has_layers {
-        let goal = Reduction {
-            efficiency: params.packing_efficiency,
-            enough: if params.stop_at_input { before } else { 0.0 },
-            gap,
-            rounds: ROUNDS,
-            steps: STEPS,
+/// What all attempts have in common.
+struct Job<'a> {
+    input: &'a StageInput<'a>,
+    params: &'a Bounded,
+    cluster: &'a [u32],
+    weights: Option<&'a [f64]>,
+    /// Length of the seams before.
+    seams: f64,
+    target: Target,
+}
+
+impl Job<'_> {
+    /// The best of some attempts; none where there is nothing to place.
+    fn best(&self, prepared: &Prepared, before: f64, work: &mut u64) -> Result<Option<Attempt>> {
+        let Job { params, weights, seams, .. } = *self;
+        let context = self.input.context;
+        let bound = params.packing_efficiency;
+        let interrupt = || context.check();
+        let area: f64 = prepared.disks.iter().map(|d| d.area).sum();
+        let construct = |corner: f64, part: f64| {
+            let how = Construction { sigma: params.sigma, corner, target: self.target, part };
+            construct(prepared, &how, weights, &interrupt)
         };
-        let reduced = reduce(&mut packed.charts, &goal, &|| context.check())?;
-        (steps, distortion) = (reduced.steps, reduced.energy);
+        let goal = |slack: f64| (bound + slack).min(TIGHTEST.max(bound));
+        let mut constructed: [Option<Constructed>; CORNERS.len()] = [const { None }; CORNERS.len()];
+        let mut attempts: Vec<Attempt> = Vec::new();
+        let is_good = |a: &Attempt| a.efficiency >= bound && a.distortion <= before * (1.0 + AS_GOOD);
+        let is_paper = params.search == Search::Paper;
+        // In waves, so that what is tried does not depend on the number of threads.
+        let mut wave: Vec<usize> = if is_paper { vec![3] } else { vec![1, 3] };
+        for round in 0..3 {
+            for k in wave.iter().map(|k| LADDER[*k].0) {
+                if constructed[k].is_none() {
+                    context.step(0.15 + 0.25 * f64::from(round), "making charts axis-aligned")?;
+                    constructed[k] = Some(construct(CORNERS[k], f64::INFINITY)?);
+                }
+            }
+            context.step(0.3 + 0.25 * f64::from(round), "dividing, packing and relaxing")?;
+            let one = |k: &usize| {
+                let (corner, slack) = LADDER[*k];
+                constructed[corner].as_ref().map(|c| self.attempt(c, goal(slack), before)).transpose()
+            };
+            let made: Vec<Attempt> =
+                wave.par_iter().map(one).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+            let good: Vec<bool> = made.iter().map(is_good).collect();
+            attempts.extend(made);
+            if is_paper || context.out_of_time() {
+                break;
+            }
+            wave = match (round, good.as_slice()) {
+                (0, [true, ..]) => vec![0],
+                (0, [false, true]) => vec![2],
+                (0, _) => vec![4, 5],
+                _ => break,
+            };
+        }
+        // More parts than corners ask for, where the bound is missed.
+        for part in PARTS {
+            if attempts.iter().any(|a| a.efficiency >= bound) || context.out_of_time() || prepared.disks.is_empty() {
+                break;
+            }
+            context.step(0.9, "dividing further")?;
+            let constructed = construct(CORNERS[1], part * area.sqrt())?;
+            for slack in [0.01, 0.05] {
+                attempts.push(self.attempt(&constructed, goal(slack), before)?);
+            }
+        }
+        *work += attempts.iter().map(|a| a.steps as u64 * a.atlas.uv.len() as u64).sum::<u64>();
+        let allowed = params.max_boundary_length.map_or(f64::INFINITY, |most| (most - 1.0) * seams);
+        // The bound first, then the limit on seams, then distortion and seams together.
+        let value = |a: &Attempt| {
+            let missing = (bound - a.efficiency).max(0.0);
+            let over = (a.cut - allowed).max(0.0) / seams.max(1e-300);
+            let worse = (a.distortion / before - 1.0 - AS_GOOD).max(0.0);
+            (missing, over, 5.0 * worse + a.cut / seams.max(1e-300))
+        };
+        let best = attempts.into_iter().min_by(|a, b| {
+            let (a, b) = (value(a), value(b));
+            a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
+        });
+        Ok(best)
     }
-    let efficiency = packed.charts.efficiency();
-    let pieces = packed.pieces.len();
-    let fallbacks = constructed.disks.iter().filter(|d| d.is_fallback).count();
-    let cut = (seam_length(mesh.atlas()) - seams).max(0.0);
-    let atlas = assemble(input, &mesh, &packed);
-    Ok(Attempt { atlas, efficiency, distortion, cut, pieces, fallbacks, steps })
+
+    /// Divides the charts of a construction, packs the parts, and relaxes them.
+    fn attempt(&self, constructed: &Constructed, goal: f64, before: f64) -> Result<Attempt> {
+        let Job { input, params, cluster, weights, seams, .. } = *self;
+        let context = input.context;
+        let gap = sheet::gap(input);
+        let charts: Vec<_> = constructed.disks.iter().map(|d| d.arrangement.clone()).collect();
+        let diagonal = bounds(input.atlas).length();
+        let padding = gap.max(params.padding * diagonal);
+        let aspect = sheet::aspect(input);
+        let wanted = Goal {
+            efficiency: goal,
+            padding,
+            seams: seams.max(1e-3 * diagonal),
+            request: RectangleRequest { turns: sheet::turns(input), aspect, widths: WIDTHS },
+            tries: params.candidates as usize,
+            is_published: params.search == Search::Paper,
+        };
+        let mut mesh = constructed.mesh.clone();
+        let mut labels = constructed.labels.clone();
+        if let Some(chosen) = search(&charts, &wanted, &mut Random::stream(context.seed, 0)) {
+            for ((own, division), d) in constructed.disks.iter().zip(&chosen.divisions).zip(0..) {
+                context.check()?;
+                cut::cut_chart(&mut mesh, &own.map, &own.arrangement, division, &mut labels, d);
+            }
+        }
+        let final_request = RectangleRequest { widths: FINAL_WIDTHS, ..wanted.request };
+        let mut packed = sheet::pack(&mesh, &labels, constructed, cluster, weights, [padding, gap], &final_request);
+        let mut steps = 0;
+        let mut distortion = packed.charts.energy();
+        if !params.keep_mapping && packed.charts.has_layers {
+            let goal = Reduction {
+                efficiency: params.packing_efficiency,
+                // Weighted, the distortion is another measure than that of the input.
+                enough: if params.stop_at_input && weights.is_none() { before } else { 0.0 },
+                gap,
+                rounds: ROUNDS,
+                steps: STEPS,
+            };
+            let reduced = reduce(&mut packed.charts, &goal, &|| context.check())?;
+            (steps, distortion) = (reduced.steps, reduced.energy);
+        }
+        let efficiency = packed.charts.efficiency();
+        let pieces = packed.pieces.len();
+        let fallbacks = constructed.disks.iter().filter(|d| d.is_fallback).count();
+        let cut = (seam_length(mesh.atlas()) - seams).max(0.0);
+        let unwritable = sheet::unwritable(&mesh, &labels, &packed, constructed.disks.len());
+        let unwritable =
+            constructed.number.iter().zip(unwritable).filter(|(_, is_out)| *is_out).map(|(k, _)| *k).collect();
+        let atlas = assemble(input, &mesh, &packed);
+        Ok(Attempt { atlas, efficiency, distortion, cut, pieces, fallbacks, steps, unwritable })
+    }
+}
+
+/// By face of the input: how much it matters, 1 on average; none where the options say nothing.
+fn face_weights(input: &StageInput<'_>) -> Option<Vec<f64>> {
+    let own: Vec<f64> = input.corner_weights()?.iter().map(|w| w.iter().sum::<f64>().max(3e-3) / 3.0).collect();
+    let area = |f: FaceId| input.atlas.area(f);
+    let (sum, total) = input.atlas.faces().fold((0.0, 0.0), |(s, t), f| (s + own[f.index()] * area(f), t + area(f)));
+    let mean = sum / total;
+    (mean.is_finite() && mean > 0.0).then(|| own.iter().map(|w| w / mean).collect())
 }
 
 /// The distortion of all disks as they are, by their area.

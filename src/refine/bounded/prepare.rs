@@ -31,6 +31,8 @@ pub(super) struct Prepared {
     pub mesh: Mesh,
     pub labels: Labels,
     pub layout: Layout,
+    /// By UV vertex: where it was before charts were flattened anew.
+    uploaded: Vec<DVec2>,
     pub disks: Vec<Disk>,
     /// Charts that were cut to become disks, and those that were flattened anew.
     pub opened: usize,
@@ -62,6 +64,24 @@ pub(super) enum Target {
 }
 
 impl Prepared {
+    /// Leaves some disks as they were uploaded.
+    pub fn exclude(&mut self, is_out: &[bool]) {
+        let mut name = Vec::with_capacity(self.disks.len());
+        let mut kept = Vec::new();
+        for (disk, is_out) in std::mem::take(&mut self.disks).into_iter().zip(is_out) {
+            name.push(if *is_out { NO_DISK } else { kept.len() as u32 });
+            if *is_out {
+                for u in disk.faces.iter().flat_map(|f| self.mesh.atlas().corners[f.index()]).collect::<Vec<_>>() {
+                    self.mesh.move_uv(u, self.uploaded[u.index()]);
+                }
+            } else {
+                kept.push(disk);
+            }
+        }
+        self.disks = kept;
+        self.labels.disk.iter_mut().filter(|d| **d != NO_DISK).for_each(|d| *d = name[*d as usize]);
+    }
+
     /// The map of a disk.
     pub fn map(&self, disk: &Disk, target: Target) -> Option<ChartMap> {
         let boundary = boundary(&self.mesh, &disk.faces)?;
@@ -223,7 +243,8 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
         disks.push(Disk { faces, reversed, density, fresh, area });
     }
     let layout = Layout::new(atlas);
-    let mut prepared = Prepared { mesh, labels, layout, disks, opened, flattened: 0 };
+    let uploaded = mesh.atlas().uv.clone();
+    let mut prepared = Prepared { mesh, labels, layout, uploaded, disks, opened, flattened: 0 };
     // New maps where the uploaded ones fold.
     let fresh: Vec<usize> = (0..prepared.disks.len()).filter(|d| prepared.disks[*d].fresh).collect();
     prepared.flattened = fresh.len();
@@ -238,7 +259,8 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
             Ok(map)
         })
         .collect::<Result<_>>()?;
-    for map in maps.iter().flatten() {
+    // A map that could not be made leaves the uploaded one, which nobody can use but for keeping it.
+    for map in maps.iter().flatten().filter(|map| map.is_valid()) {
         for (u, x) in map.uvs.iter().zip(&map.x) {
             prepared.mesh.move_uv(*u, *x);
         }

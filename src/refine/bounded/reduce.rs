@@ -52,7 +52,6 @@ pub(super) struct Reduction {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reduced {
     pub energy: f64,
-    pub efficiency: f64,
     pub steps: usize,
 }
 
@@ -182,7 +181,7 @@ pub(super) fn reduce(
         }
     }
     (charts.x, energy) = good;
-    Ok(Reduced { energy, efficiency: charts.efficiency(), steps: taken })
+    Ok(Reduced { energy, steps: taken })
 }
 
 /// One Newton step of all charts and the void between them in a box.

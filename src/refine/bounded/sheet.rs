@@ -10,7 +10,7 @@ use super::cut::bounds;
 use super::layer::layer;
 use super::prepare::{Labels, NO_DISK, boundary, rest_shape};
 use super::reduce::PackedCharts;
-use crate::atlas::{Atlas, Charts, FaceId, Mesh, UvId};
+use crate::atlas::{Atlas, Charts, FaceId, Mesh, UvId, orientation};
 use crate::error::Warning;
 use crate::numeric::dirichlet::RestTriangle;
 use crate::packing::{RectanglePacker, RectangleRequest, Rotation};
@@ -20,6 +20,8 @@ use crate::texture::Size;
 
 /// Weight of the layer about charts, in units of its area's share.
 const STIFF: f64 = 4.0;
+/// Steps of texture coordinates in 32 bits, over a sheet.
+const WRITTEN: f64 = (1 << 22) as f64;
 /// How much wider the layer is than it must be.
 const WIDER: f64 = 1.1;
 
@@ -63,6 +65,8 @@ pub(super) struct Packed {
     pub charts: PackedCharts,
     /// By UV vertex: its vertex among the charts'.
     pub name: Vec<u32>,
+    /// By disk: whether its faces have negative areas.
+    pub reversed: Vec<bool>,
 }
 
 /// Texels that must be free between two charts so that the gutter is: along an axis a texel more than the gutter has.
@@ -96,6 +100,7 @@ pub(super) fn pack(
     labels: &Labels,
     constructed: &Constructed,
     cluster: &[u32],
+    weights: Option<&[f64]>,
     [padding, gap]: [f64; 2],
     request: &RectangleRequest,
 ) -> Packed {
@@ -118,8 +123,9 @@ pub(super) fn pack(
             (piece.at, piece.turned) = (place.at + 0.5 * padding, place.turned);
         }
     }
-    let (charts, name) = charts_of(mesh, labels, constructed, &pieces, gap);
-    Packed { pieces, charts, name }
+    let (charts, name) = charts_of(mesh, labels, constructed, &pieces, weights, gap);
+    let reversed = constructed.info.iter().map(|d| d.reversed).collect();
+    Packed { pieces, charts, name, reversed }
 }
 
 /// The parts that may change their shape, where they lie.
@@ -128,6 +134,7 @@ fn charts_of(
     labels: &Labels,
     constructed: &Constructed,
     pieces: &[Piece],
+    weights: Option<&[f64]>,
     gap: f64,
 ) -> (PackedCharts, Vec<u32>) {
     let atlas = mesh.atlas();
@@ -152,7 +159,8 @@ fn charts_of(
             });
             let rest = rest_triangle(shape(f), reversed, mean, total);
             // Every shape with an area has one.
-            let Some(rest) = rest else { continue };
+            let Some(mut rest) = rest else { continue };
+            rest.weight *= weights.map_or(1.0, |w| w[labels.origin[f.index()].index()]);
             out.triangles.push(if reversed { [corners[0], corners[2], corners[1]] } else { corners });
             out.rest.push(rest);
         }
@@ -201,6 +209,27 @@ fn charts_of(
         out.fixed_area += piece.faces.iter().map(|f| atlas.uv_area(*f).abs()).sum::<f64>();
     }
     (out, name)
+}
+
+/// By disk: whether it has a face that 32 bits cannot hold where its parts lie.
+pub(super) fn unwritable(mesh: &Mesh, labels: &Labels, packed: &Packed, disks: usize) -> Vec<bool> {
+    let mut out = vec![false; disks];
+    let (low, high) = packed.charts.bounds();
+    let extent = (high - low).max_element();
+    let written = |p: DVec2| ((p - low) / extent * WRITTEN).round();
+    for piece in packed.pieces.iter().filter(|p| !p.is_rigid) {
+        for f in &piece.faces {
+            let [a, b, c] =
+                mesh.atlas().corners[f.index()].map(|u| packed.charts.x[packed.name[u.index()] as usize]).map(written);
+            let is_out = if orientation(a, b, c) == 0 {
+                true
+            } else {
+                (orientation(a, b, c) < 0) != packed.reversed[labels.disk[f.index()] as usize]
+            };
+            out[labels.disk[f.index()] as usize] |= is_out;
+        }
+    }
+    out
 }
 
 /// The Atlas with its parts where they have been packed, on a sheet of its own.

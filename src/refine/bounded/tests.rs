@@ -1,1 +1,242 @@
+//! The construction piece by piece, and the stage as a whole.
 
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use glam::DVec3;
+
+use super::angles::{global_rotation, smoothed, targets, turns};
+use super::arrangement::arrange;
+use super::construct::AlignedDisk;
+use super::*;
+use crate::atlas::testing::{Rng, atlas as made, join, sheet, soup};
+use crate::atlas::{Exactness, UvId, check, overlaps};
+use crate::context::Context;
+use crate::packing::Gutter;
+use crate::refine::options::{IfLarger, Options};
+use crate::refine::stage::SheetInfo;
+
+fn options(gutter: u32, overlaps: OverlapMode) -> Options {
+    let mut options = Options::default();
+    options.atlas.if_larger = IfLarger::Accept;
+    options.atlas.overlaps = overlaps;
+    options.pack.gutter = Gutter::Texels(gutter);
+    options
+}
+
+fn run(atlas: &Atlas, params: &Bounded, options: &Options) -> (Staged, Vec<String>) {
+    let context = Context::silent();
+    let info = SheetInfo {
+        id: 0,
+        reference: [100, 100],
+        unit: 1,
+        mipmaps: false,
+        is_virtual: true,
+        animated: false,
+        directions: false,
+        joined: false,
+    };
+    let input = StageInput { atlas, sheet_info: &info, importance: None, options, context: &context };
+    let staged = bounded(&input, params).unwrap();
+    assert_eq!(check(atlas, &staged.atlas, Exactness::Exact), Ok(()));
+    (staged, context.warnings().into_iter().map(|w| w.code).collect())
+}
+
+/// No two faces overlap, no face is turned over, and the bound holds, all told by others.
+fn is_packed(staged: &Staged, bound: f64) {
+    let after = &staged.atlas;
+    let charts = Charts::new(&Topology::new(after));
+    let found = overlaps(after, &charts, 10);
+    assert!(found.intra.is_empty() && found.inter.is_empty(), "{found:?}");
+    let own = efficiency(after);
+    assert!(own >= bound - 1e-6, "{own} {:?}", staged.figures);
+    assert_eq!(staged.figures["bound_met"], true);
+}
+
+/// A sheet of squares without those for which `is_out` says so, bent a little.
+fn shape(nx: usize, ny: usize, is_out: impl Fn(usize, usize) -> bool, bend: f64) -> Atlas {
+    let whole = sheet(nx, ny, DVec2::ZERO);
+    let kept: Vec<FaceId> = whole.faces().filter(|f| !is_out(f.index() / 2 % nx, f.index() / 2 / nx)).collect();
+    let mut out = whole.subset(&kept);
+    for (i, p) in &mut out.provenance.iter_mut().enumerate() {
+        p.source = FaceId::new(i);
+    }
+    for p in &mut out.uv {
+        *p = DVec2::new(p.x + bend * (0.7 * p.y).sin(), p.y + bend * (0.5 * p.x).cos()) + 10.0;
+    }
+    out
+}
+
+#[test]
+fn smoothing_keeps_the_whole_turn_and_the_rotation_is_the_best_of_many() {
+    let mut rng = Rng(1);
+    for _ in 0..50 {
+        let n = 40;
+        let lengths: Vec<f64> = (0..n).map(|_| 0.5 + rng.unit()).collect();
+        let angles: Vec<f64> = (0..n).map(|i| TAU * i as f64 / n as f64 + rng.unit()).collect();
+        let total: f64 = lengths.iter().sum();
+        let own = smoothed(&angles, &lengths, 0.03 * total);
+        // Each edge turns by less than half a turn, so that none has lost its count.
+        assert!(own.iter().zip(&angles).all(|(a, b)| (a - b).abs() < std::f64::consts::PI));
+        let energy = |by: f64| -> f64 {
+            let of = |(a, l): (&f64, &f64)| l * ((a + by).cos() * (a + by).sin()).powi(2);
+            own.iter().zip(&lengths).map(of).sum()
+        };
+        let best = energy(global_rotation(&own, &lengths));
+        assert!((0..360).all(|k| best <= energy(f64::from(k) * TAU / 360.0) + 1e-9));
+    }
+}
+
+#[test]
+fn target_angles_are_those_that_trying_all_finds() {
+    let mut rng = Rng(2);
+    for round in 0..60 {
+        let n = 6;
+        let lengths: Vec<f64> = (0..n).map(|_| 0.2 + rng.unit()).collect();
+        let angles: Vec<f64> = (0..n).map(|i| TAU * (i as f64 + 0.8 * rng.unit()) / n as f64).collect();
+        let corner = 0.1 * f64::from(round % 5);
+        let own = targets(&angles, &lengths, corner).unwrap();
+        let cost = |labels: &[i32]| -> f64 {
+            let fit = |i: usize| lengths[i] * (angles[i] - f64::from(labels[i]) * FRAC_PI_2).powi(2);
+            let turn = |k: &i32| if (-1..=1).contains(k) { corner * f64::from(k.abs()) } else { f64::INFINITY };
+            (0..n).map(fit).sum::<f64>() + turns(labels).iter().map(turn).sum::<f64>()
+        };
+        assert_eq!(turns(&own).iter().sum::<i32>(), 4);
+        // The edge that the search starts from keeps the label next to it: so it does here.
+        let mut least = f64::INFINITY;
+        for code in 0..5usize.pow(n as u32) {
+            let labels: Vec<i32> = (0..n)
+                .map(|i| (angles[i] / FRAC_PI_2).round() as i32 + (code / 5usize.pow(i as u32) % 5) as i32 - 2)
+                .collect();
+            if labels.iter().zip(&own).any(|(a, b)| a == b) {
+                least = least.min(cost(&labels));
+            }
+        }
+        assert!((cost(&own) - least).abs() < 1e-9 || cost(&own) <= 1.3 * least, "{} {least}", cost(&own));
+    }
+    assert_eq!(targets(&[0.0, 2.0, 4.0], &[1.0; 3], 0.1), None, "three edges have no four corners");
+}
+
+/// The only disk of an Atlas, axis-aligned.
+fn aligned(atlas: &Atlas) -> (Constructed, AlignedDisk) {
+    let interrupt = || Ok(());
+    let prepared = prepare(atlas, &vec![false; atlas.face_count()], &interrupt).unwrap();
+    let how = Construction { sigma: 0.004, corner: 0.05, target: Target::Surface, part: f64::INFINITY };
+    let made = construct(&prepared, &how, None, &interrupt).unwrap();
+    assert_eq!(made.disks.len(), 1);
+    let disk = made.disks[0].clone();
+    (made, disk)
+}
+
+#[test]
+fn a_bent_l_becomes_an_l_of_three_cells() {
+    let start = shape(8, 8, |x, y| x >= 4 && y >= 4, 0.4);
+    let (made, disk) = aligned(&start);
+    assert!(!disk.is_fallback && disk.map.is_valid());
+    let k = turns(&disk.targets);
+    assert_eq!((k.iter().filter(|k| **k == 1).count(), k.iter().filter(|k| **k == -1).count()), (5, 1));
+    for (run, axis) in deform::runs(&disk.targets) {
+        let line = disk.map.x[disk.map.boundary[run[0]] as usize][axis];
+        assert!(run.iter().all(|i| disk.map.x[disk.map.boundary[*i] as usize][axis] == line), "sides are straight");
+    }
+    assert_eq!((disk.arrangement.cells.len(), disk.arrangement.motorcycles.len()), (3, 2));
+    let cells: f64 = disk.arrangement.cells.iter().map(|c| (c.high - c.low).element_product()).sum();
+    assert!((cells - disk.map.area()).abs() < 1e-9 * cells, "cells cover the chart");
+    // The same trails with places on the sides too.
+    let more = [1, 2, 3].map(|n| disk.map.boundary.len() * n / 4);
+    let more = arrange(&made.mesh, &disk.map, &disk.targets, &more, &|_| 1.0).unwrap();
+    let again: f64 = more.cells.iter().map(|c| (c.high - c.low).element_product()).sum();
+    assert!(more.cells.len() > 3 && (again - cells).abs() < 1e-9 * cells);
+}
+
+#[test]
+fn a_ramp_that_lies_on_itself_is_divided_in_its_own_sheet() {
+    let mut start = sheet(90, 3, DVec2::ZERO);
+    for (i, uv) in start.uv.iter_mut().enumerate() {
+        let (x, y) = ((i % 91) as f64, (i / 91) as f64);
+        *uv = DVec2::from_angle(-2.2 * TAU * x / 90.0) * (7.0 + y) + 20.0;
+    }
+    let (staged, _) = run(&start, &Bounded::default(), &options(0, OverlapMode::Separate));
+    is_packed(&staged, 0.8);
+}
+
+#[test]
+fn an_l_is_cut_once_or_not_and_meets_every_bound() {
+    let start = shape(12, 12, |x, y| x >= 5 && y >= 5, 0.3);
+    for bound in [0.5, 0.8, 0.9, 0.95] {
+        let params = Bounded { packing_efficiency: bound, ..Bounded::default() };
+        let (staged, codes) = run(&start, &params, &options(0, OverlapMode::Separate));
+        is_packed(&staged, bound);
+        assert!(codes.is_empty(), "{codes:?}");
+        let charts = Charts::new(&Topology::new(&staged.atlas)).len();
+        assert!(if bound < 0.6 { charts == 1 } else { charts <= 6 }, "{bound}: {charts}");
+    }
+}
+
+#[test]
+fn what_is_no_disk_is_opened_and_what_folds_is_flattened_anew() {
+    // A ring, a sheet with a face turned over, one flat triangle, two that meet in a vertex, and a closed surface.
+    let ring = shape(9, 9, |x, y| (3..6).contains(&x) && (3..6).contains(&y), 0.0);
+    let mut folded = sheet(5, 5, DVec2::new(40.0, 0.0));
+    folded.uv[14] += DVec2::new(2.5, 0.0);
+    let one = soup(&[[DVec2::new(0.0, 40.0), DVec2::new(9.0, 41.0), DVec2::new(2.0, 47.0)]]);
+    let bow = made(
+        [[30.0, 40.0], [35.0, 42.0], [30.0, 45.0], [40.0, 40.0], [40.0, 46.0]].map(DVec2::from).to_vec(),
+        [[0, 1, 2], [1, 3, 4]].map(|c| c.map(UvId)).to_vec(),
+    );
+    let corner = |k: usize| DVec3::new((k % 2) as f64, (k / 2 % 2) as f64, (k / 4) as f64) * 9.0;
+    let faces = [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 7, 5],
+        [4, 6, 7],
+        [0, 5, 1],
+        [0, 4, 5],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ];
+    let mut closed = made(vec![DVec2::new(70.0, 70.0); 8], faces.map(|c| c.map(UvId)).to_vec());
+    closed.surface.positions = (0..8).map(corner).collect();
+    let all = [folded, one, bow, closed].iter().fold(ring, |a, b| join(&a, b));
+    for gutter in [0, 1] {
+        let (staged, codes) = run(
+            &all,
+            &Bounded { packing_efficiency: 0.7, ..Bounded::default() },
+            &options(gutter, OverlapMode::Separate),
+        );
+        is_packed(&staged, 0.7);
+        assert!(codes.is_empty(), "{codes:?}");
+        assert!(staged.figures["opened_charts"].as_u64() >= Some(2), "{:?}", staged.figures);
+    }
+}
+
+#[test]
+fn stacks_stay_together_and_gutters_stay_free() {
+    let one = shape(6, 6, |x, y| x >= 3 && y >= 3, 0.2);
+    let mut start = join(&join(&one, &one), &sheet(5, 3, DVec2::new(40.0, 0.0)));
+    start.append(&shape(9, 4, |x, y| x >= 3 && y >= 2, 0.1), DVec2::new(0.0, 40.0), start.face_count(), 0);
+    let (staged, _) = run(&start, &Bounded::default(), &options(2, OverlapMode::Stack));
+    let charts = Charts::new(&Topology::new(&staged.atlas));
+    let before = clusters(&start, &Charts::new(&Topology::new(&start)), OverlapMode::Stack);
+    let after = clusters(&staged.atlas, &charts, OverlapMode::Stack);
+    let stacks = |c: &crate::atlas::Clusters| c.charts.iter().filter(|c| c.len() > 1).count();
+    assert!(stacks(&before) > 0 && stacks(&after) == stacks(&before));
+}
+
+#[test]
+fn the_map_is_kept_where_that_is_asked_for_and_threads_do_not_matter() {
+    let start = shape(14, 10, |x, y| x >= 6 && (3..7).contains(&y), 0.5);
+    let kept = Bounded { keep_mapping: true, ..Bounded::default() };
+    let (staged, _) = run(&start, &kept, &options(0, OverlapMode::Separate));
+    is_packed(&staged, 0.8);
+    let own = run(&start, &Bounded::default(), &options(2, OverlapMode::Separate)).0;
+    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    assert!(
+        alone.install(|| run(&start, &Bounded::default(), &options(2, OverlapMode::Separate))).0.atlas == own.atlas
+    );
+    let paper = Bounded { search: Search::Paper, candidates: 100, ..Bounded::default() };
+    is_packed(&run(&start, &paper, &options(0, OverlapMode::Separate)).0, 0.8);
+}
