@@ -54,7 +54,7 @@ pub use limits::Limits;
 pub use load::{load, load_while, side_file};
 pub use material_index::MaterialIndex;
 pub use merge::{Counts, Merge, Merged, MergedMaterial, finish as finish_merge, prepare as prepare_merge};
-pub use options::{ReadOptions, Tiling};
+pub use options::{ReadOptions, Tiling, UvSet};
 pub use save::to_gltf;
 pub use side_files::read_paths;
 pub(crate) use side_names::by_name as image_type;

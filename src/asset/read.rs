@@ -22,13 +22,13 @@ const LONGEST_NAME: usize = 60;
 pub fn read(doc: &Document, index: &MaterialIndex, options: ReadOptions, context: &Context) -> Result<Vec<TextureSet>> {
     let mut reader = GeometryReader::new(doc);
     let mut sets = Vec::new();
-    for planned in plan(doc, index, options.uv_set as usize, context)? {
+    for planned in plan(doc, index, options.uv_set, context)? {
         if let Some(set) = read_set(doc, index, planned, sets.len(), options, &mut reader, context)? {
             sets.push(set);
         }
     }
     if let Some(planned) = plan_unmapped(doc, index) {
-        sets.extend(read_unmapped(doc, index, planned, sets.len(), &mut reader, context)?);
+        sets.extend(read_unmapped(doc, index, planned, sets.len(), options, &mut reader, context)?);
     }
     Ok(sets)
 }
@@ -39,6 +39,7 @@ fn read_unmapped(
     index: &MaterialIndex,
     mut planned: Planned,
     id: usize,
+    options: ReadOptions,
     reader: &mut GeometryReader<'_>,
     context: &Context,
 ) -> Result<Option<TextureSet>> {
@@ -57,7 +58,7 @@ fn read_unmapped(
     }
     planned.primitives = whole;
     let atlas = joined(&geometries, planned.reference, context)?;
-    Ok(atlas.map(|atlas| texture_set(doc, index, planned, id, atlas, geometries)))
+    Ok(atlas.map(|atlas| texture_set(doc, index, planned, id, options, atlas, geometries)))
 }
 
 fn read_set(
@@ -88,9 +89,15 @@ fn read_set(
     }
     let constant = !planned.slots.is_empty() && planned.slots.iter().all(|s| doc.merging.constants.contains(&s.image));
     if let Err(warning) = normalise_tiles(&mut atlas, &planned.slots, planned.reference, options.tiling, constant) {
-        return left(warning);
+        if !planned.slots.is_empty() {
+            return left(warning);
+        }
+        // Nothing reads coordinates that are no layout: they are as good as none.
+        geometries.iter_mut().for_each(|geometry| geometry.uvs = None);
+        let bare = joined(&geometries, planned.reference, context)?;
+        return Ok(bare.map(|atlas| texture_set(doc, index, planned, id, options, atlas, geometries)));
     }
-    Ok(Some(texture_set(doc, index, planned, id, atlas, geometries)))
+    Ok(Some(texture_set(doc, index, planned, id, options, atlas, geometries)))
 }
 
 /// The Atlas of some primitives; none where they have no triangles. Every face is a whole triangle of the primitive that it came
@@ -111,6 +118,7 @@ fn texture_set(
     index: &MaterialIndex,
     planned: Planned,
     id: usize,
+    options: ReadOptions,
     mut atlas: Atlas,
     geometries: Vec<PrimitiveGeometry>,
 ) -> TextureSet {
@@ -125,7 +133,7 @@ fn texture_set(
             primitive: indexed.primitive,
             material: indexed.default_material,
             layout,
-            written: written_set(index, value, &indexed.materials, layout),
+            written: written_set(index, value, &indexed.materials, layout, options.uv_set),
             first_face,
             face_count,
             animated: is_animated(value),
@@ -178,7 +186,7 @@ fn name(doc: &Document, index: &MaterialIndex, planned: &Planned) -> String {
 mod tests {
     use super::*;
     use crate::asset::fixture::{attribute, bowtie, document, mesh, png, primitive};
-    use crate::asset::{RawAccessor, mark_uniform, small_slot_warning};
+    use crate::asset::{RawAccessor, UvLayout, UvSet, mark_uniform, small_slot_warning};
     use crate::error::Failure;
     use crate::texture::Wrap;
     use serde_json::{Value, json};
@@ -228,7 +236,8 @@ mod tests {
         mesh(&mut doc, primitives.to_vec());
         let sets = sets_of(&doc);
         let parts: Vec<Vec<usize>> = sets.iter().map(|s| s.primitives.iter().map(|p| p.primitive).collect()).collect();
-        assert_eq!(parts, [vec![0, 2, 3], vec![1]]);
+        assert_eq!(parts, [vec![0, 2, 3], vec![1], vec![4]]);
+        assert_eq!((sets[2].id, sets[2].slots.len(), sets[2].reference), (2, 0, [1024, 1024]), "what reads no image");
         let slots: Vec<_> = sets[0].slots.iter().map(|s| (s.image, s.name.as_str(), s.primitives.clone())).collect();
         assert_eq!(slots, [(0, "base_color", vec![0, 1, 2]), (1, "base_color_2", vec![2])]);
         assert_eq!((sets[0].reference, sets[0].grid), ([16, 8], Some([2, 1])));
@@ -260,7 +269,12 @@ mod tests {
             left(&doc)
         };
         let info = "/materials/0/pbrMetallicRoughness/baseColorTexture";
-        assert_eq!(change(&format!("{info}/texCoord"), json!(1)), [format!("other_uv_set {info}")]);
+        let mut doc = model(&[[16, 8]]);
+        doc.json.pointer_mut(info).unwrap()["texCoord"] = json!(1);
+        let (sets, warnings) = read_all(&doc);
+        assert_eq!(warnings, [format!("other_uv_set {info}")]);
+        let sets = sets.unwrap();
+        assert_eq!((sets.len(), sets[0].slots.len()), (1, 0), "no image is read through the layout");
         let untextured_anisotropy = json!({ "KHR_materials_anisotropy": { "anisotropyStrength": 0.5 } });
         let expected = "anisotropy_without_texture /materials/0";
         assert_eq!(change("/materials/0/extensions", untextured_anisotropy), [expected]);
@@ -370,11 +384,44 @@ mod tests {
     fn models_without_images_get_a_virtual_page() {
         let set = sets_of(&model(&[])).remove(0);
         assert_eq!((set.reference, set.slots.len(), set.atlas.face_count()), ([1024, 1024], 0, 2));
-        // With an image that nothing reads there is nothing to refine.
+        // An image that nothing reads is nobody's.
         let mut doc = model(&[]);
         doc.json["images"] = json!([{}]);
         doc.images.push(Some(png(2, 2)));
-        assert!(left(&doc).is_empty());
+        assert_eq!(sets_of(&doc).remove(0).slots.len(), 0);
+        // Coordinates without area are as good as none.
+        let flat = attribute(&mut doc, &[[0.5, 0.5]; 5]);
+        doc.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = Value::from(flat);
+        let set = sets_of(&doc).remove(0);
+        assert_eq!((set.atlas.has_layout(), set.atlas.face_count(), set.primitives[0].written), (false, 2, 0));
+    }
+
+    #[test]
+    fn a_layout_of_its_own_takes_no_image_along() {
+        // Two textured primitives that share no image, one with two sets, one without any, one whose coordinates a target moves.
+        let mut doc = document(&[[16, 8], [4, 4]]);
+        let mut textured = [0, 1, 0, 0].map(|_| bowtie(&mut doc));
+        doc.push("materials", json!({ "emissiveTexture": { "index": 1 } }));
+        textured[1]["material"] = Value::from(doc.json["materials"].as_array().unwrap().len() - 1);
+        textured[2]["attributes"]["TEXCOORD_1"] = textured[2]["attributes"]["TEXCOORD_0"].clone();
+        textured[3]["targets"] = json!([{ "TEXCOORD_0": textured[3]["attributes"]["TEXCOORD_0"] }]);
+        let mut bare = bowtie(&mut doc);
+        bare.as_object_mut().unwrap().shift_remove("material");
+        bare["attributes"].as_object_mut().unwrap().shift_remove("TEXCOORD_0");
+        mesh(&mut doc, textured.into_iter().chain([bare]).collect());
+        let (context, options) = (Context::silent(), ReadOptions { uv_set: UvSet::New, ..ReadOptions::default() });
+        let sets = MaterialIndex::new(&doc).and_then(|index| read(&doc, &index, options, &context)).unwrap();
+        assert_eq!(context.warnings().len(), 0);
+        let found: Vec<_> = sets
+            .iter()
+            .map(|s| {
+                let written: Vec<usize> = s.primitives.iter().map(|p| p.written).collect();
+                (s.atlas.has_layout(), s.slots.len(), s.reference, written)
+            })
+            .collect();
+        let sheet = [1024, 1024];
+        assert_eq!(found, [(true, 0, sheet, vec![1, 1, 2, 1]), (false, 0, sheet, vec![0])]);
+        assert_eq!(sets[0].primitives[0].layout, UvLayout::plain(0));
     }
 
     #[test]

@@ -10,6 +10,7 @@ use super::document::Document;
 use super::extensions::{OnPrimitive, on_primitive};
 use super::json::{array, object};
 use super::material_index::{MaterialIndex, Primitive, Texture, TextureUse};
+use super::options::UvSet;
 use super::texture_set::TextureSet;
 use super::transform::{TextureTransform, UvLayout};
 use crate::atlas::find_root;
@@ -40,16 +41,21 @@ impl Planned {
     }
 }
 
-/// Forms the texture sets of TEXCOORD_`uv_set`, in the order of their first primitive.
+/// Forms the texture sets of the TEXCOORD set `uv_set`, in the order of their first primitive. Behind them is one without images, of
+/// what no texture is read through; where the new layout is a set of its own, all is in that one.
 ///
 /// # Errors
 /// None but those of the context; what cannot be refined is a warning.
-pub(crate) fn plan(doc: &Document, index: &MaterialIndex, uv_set: usize, context: &Context) -> Result<Vec<Planned>> {
+pub(crate) fn plan(doc: &Document, index: &MaterialIndex, uv_set: UvSet, context: &Context) -> Result<Vec<Planned>> {
     context.check()?;
-    let mut chooser = LayoutChooser { doc, index, uv_set, texels: BTreeMap::new() };
+    let mut chooser = LayoutChooser { doc, index, uv_set: uv_set.number(), texels: BTreeMap::new() };
     let mut candidates: Vec<(usize, UvLayout)> = Vec::new();
     for (p, primitive) in index.primitives.iter().enumerate() {
         if is_refinable(doc, primitive, uv_set, context) {
+            if uv_set == UvSet::New {
+                candidates.push((p, UvLayout::plain(uv_set.number())));
+                continue;
+            }
             let layout = chooser.layout(primitive);
             if may_change(doc, index, primitive, layout, context) {
                 candidates.push((p, layout));
@@ -57,12 +63,17 @@ pub(crate) fn plan(doc: &Document, index: &MaterialIndex, uv_set: usize, context
         }
     }
     let mut sets = Vec::new();
-    for (primitives, images) in components(index, &candidates) {
-        if let Some(set) = planned(doc, index, primitives, &images, context) {
-            sets.push(set);
-        }
+    if uv_set != UvSet::New {
+        let (components, rest) = components(index, &candidates);
+        let own = |(primitives, images): (Vec<_>, Vec<_>)| planned(doc, index, primitives, &images, context);
+        sets.extend(components.into_iter().filter_map(own));
+        // A texture that is read through the set, and is not known, stays where it is read.
+        let reads = |m: &usize| all_uses(index, *m).iter().any(|u| u.layout.uv_set == uv_set.number());
+        let is_unread = |p: usize| !index.primitives[p].materials.iter().any(reads);
+        let all = array(&doc.json, "images").is_empty();
+        candidates = rest.into_iter().filter(|&(p, _)| all || is_unread(p)).collect();
     }
-    if sets.is_empty() && array(&doc.json, "images").is_empty() && !candidates.is_empty() {
+    if !candidates.is_empty() {
         sets.push(Planned::without_images(candidates));
     }
     Ok(sets)
@@ -101,17 +112,19 @@ fn all_uses(index: &MaterialIndex, material: usize) -> &[TextureUse] {
     index.materials.get(material).map_or(&[], |m| &m.uses)
 }
 
-/// The TEXCOORD set that takes the new layout of a primitive: the refined one, or a new one where something else reads it on.
+/// The TEXCOORD set that takes the new layout of a primitive: the refined one, or a new one where something else reads it on or the
+/// options say so.
 pub(crate) fn written_set(
     index: &MaterialIndex,
     value: &serde_json::Value,
     materials: &[usize],
     layout: UvLayout,
+    uv_set: UvSet,
 ) -> usize {
     let read_on = |u: &TextureUse| u.layout.uv_set == layout.uv_set && (u.layout != layout || u.role.is_none());
     let independent = |name: &String| on_primitive(name) == OnPrimitive::Independent;
     let extended = object(value, "extensions").is_some_and(|e| !e.keys().all(independent));
-    if extended || materials.iter().any(|&m| all_uses(index, m).iter().any(read_on)) {
+    if uv_set == UvSet::New || extended || materials.iter().any(|&m| all_uses(index, m).iter().any(read_on)) {
         let names = object(value, "attributes").into_iter().flat_map(|a| a.keys());
         let last = names.filter_map(|n| n.strip_prefix("TEXCOORD_")?.parse::<usize>().ok()).max();
         return last.map_or(layout.uv_set, |last| last.saturating_add(1));
@@ -154,10 +167,10 @@ impl LayoutChooser<'_> {
 }
 
 /// Whether a primitive has triangles with UVs and nothing of its own that stands in the way.
-fn is_refinable(doc: &Document, primitive: &Primitive, uv_set: usize, context: &Context) -> bool {
+fn is_refinable(doc: &Document, primitive: &Primitive, uv_set: UvSet, context: &Context) -> bool {
     let pointer = primitive.pointer();
     let Some(value) = doc.json.pointer(&pointer) else { return false };
-    let name = format!("TEXCOORD_{uv_set}");
+    let name = format!("TEXCOORD_{}", uv_set.number());
     let has_uvs = value.get("attributes").is_some_and(|a| a.get(&name).is_some());
     if !primitive.is_triangles() || primitive.positions.is_none() || !has_uvs {
         return false;
@@ -168,7 +181,7 @@ fn is_refinable(doc: &Document, primitive: &Primitive, uv_set: usize, context: &
         context.warn(Warning::new("primitive_extension", text).at(format!("{pointer}/extensions/{key}")));
         return false;
     }
-    if array(value, "targets").iter().any(|t| t.get(&name).is_some()) {
+    if uv_set != UvSet::New && array(value, "targets").iter().any(|t| t.get(&name).is_some()) {
         let text = format!("the primitive is left as it is: a morph target moves its {name}");
         context.warn(Warning::new("texcoord_morph", text).at(format!("{pointer}/targets")));
         return false;
@@ -227,8 +240,8 @@ fn may_change(
 /// Primitives with their layouts, and the images that they read through them; both ascending.
 type Component = (Vec<(usize, UvLayout)>, Vec<usize>);
 
-/// Connected components with at least one image, by first primitive.
-fn components(index: &MaterialIndex, candidates: &[(usize, UvLayout)]) -> Vec<Component> {
+/// Connected components with at least one image, by first primitive, and the primitives without any.
+fn components(index: &MaterialIndex, candidates: &[(usize, UvLayout)]) -> (Vec<Component>, Vec<(usize, UvLayout)>) {
     let mut parent: Vec<u32> = (0..candidates.len() as u32).collect();
     let mut first_reader: BTreeMap<usize, u32> = BTreeMap::new();
     for (i, &(p, layout)) in candidates.iter().enumerate() {
@@ -247,7 +260,8 @@ fn components(index: &MaterialIndex, candidates: &[(usize, UvLayout)]) -> Vec<Co
         primitives.entry(find_root(&mut parent, i as u32)).or_default().push(candidate);
     }
     // A root is its component's first primitive, so that the order of the map is the one wanted.
-    images.into_iter().filter_map(|(root, images)| Some((primitives.remove(&root)?, images))).collect()
+    let found = images.into_iter().filter_map(|(root, images)| Some((primitives.remove(&root)?, images))).collect();
+    (found, primitives.into_values().flatten().collect())
 }
 
 fn images_of(index: &MaterialIndex, primitive: &Primitive, layout: UvLayout) -> Vec<usize> {

@@ -165,9 +165,10 @@ pub fn measure(atlas: &Atlas, topology: &Topology, own_charts: &Charts, inputs: 
 
 /// The measures of a surface that has no layout yet: what can be said of it in 3D.
 pub fn without_layout(atlas: &Atlas) -> Measures {
+    let triangles = atlas.face_count() as u64;
     let degenerate = atlas.faces().filter(|f| charts::has_no_surface(atlas, *f)).count() as u64;
-    let mut m =
-        Measures { triangles: atlas.face_count() as u64, degenerate_triangles: degenerate, ..Measures::default() };
+    let totals = Totals { triangles, degenerate, ..Totals::default() };
+    let mut m = Measures { triangles, degenerate_triangles: degenerate, totals, ..Measures::default() };
     // The figures' names are those of the report.
     for (name, value) in serde_json::to_value(&m).ok().and_then(|v| v.as_object().cloned()).into_iter().flatten() {
         let parts = value.as_object().into_iter().flatten().filter(|(_, part)| part.is_null());
@@ -397,6 +398,14 @@ mod tests {
         close(m.distortion_from_input, 5.0); // s = (2, 1) / sqrt 2: 2 + 1/2 + 1/2 + 2
         close(m.symmetric_dirichlet, 5.0);
         close(m.boundary_length, (2.0 * 12.0 + 2.0 * 24.0 / 2.0 + 24.0) / 6.0);
+    }
+
+    #[test]
+    fn a_surface_without_a_layout_is_counted() {
+        let bare = without_layout(&plate());
+        let all = roll_up(&[bare.clone(), bare.clone()]);
+        assert_eq!((bare.triangles, all.triangles), (16, 32));
+        assert_eq!((all.charts, all.packing_efficiency, all.texel_density.median), (0, None, None));
     }
 
     #[test]

@@ -101,6 +101,8 @@ pub struct AtlasReport {
     pub models: Vec<u64>,
     /// Names of the materials, or `material N`; model by model.
     pub materials: Vec<String>,
+    /// Numbers of the TEXCOORD sets that have the delivered layout: more than one where its primitives have different ones free.
+    pub uv_sets: Vec<u64>,
     /// Sheets after refinement.
     pub pages: u64,
     /// Whether the atlas was refined; one that was not stays out of `require`.

@@ -10,7 +10,7 @@ use super::options::{ImportanceSource, Options};
 use super::refinement::Refinement;
 use super::run::Input;
 use super::textures::exempt_uniform;
-use crate::asset::{self, Document, File, MaterialIndex, Merge, TextureSet};
+use crate::asset::{self, Document, File, MaterialIndex, Merge, TextureSet, UvSet};
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
 
@@ -88,8 +88,8 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
         let text = format!("the file `{path}` was uploaded, and no model names it: it is not used");
         context.warn(Warning::new("unused_file", text));
     }
-    // Surfaces without a layout are numbered after all others.
-    sets.sort_by_key(|(_, set)| !set.atlas.has_layout());
+    // Layouts without images are numbered after those with, and surfaces without a layout after all.
+    sets.sort_by_key(|(_, set)| (!set.atlas.has_layout(), set.slots.is_empty()));
     let mapped = sets.iter().filter(|(_, set)| set.atlas.has_layout()).count();
     let unwraps = join && options.steps().iter().any(|step| !step.stage.needs_layout());
     let refinable = if unwraps { sets.len() } else { mapped };
@@ -130,12 +130,12 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
 }
 
 /// Why there is nothing to refine.
-fn nothing_to_refine(models: &[Model], uv_set: u32) -> Warning {
+fn nothing_to_refine(models: &[Model], uv_set: UvSet) -> Warning {
     let list = |value: &Value, key: &str| value.get(key).and_then(Value::as_array).cloned().unwrap_or_default();
     let meshes = models.iter().flat_map(|m| list(&m.doc.json, "meshes"));
     let primitives = meshes.flat_map(|mesh| list(&mesh, "primitives"));
     let triangles = primitives.filter(|p| p.get("mode").is_none_or(|m| m.as_u64().is_some_and(|m| m >= 4)));
-    let name = format!("TEXCOORD_{uv_set}");
+    let name = format!("TEXCOORD_{}", uv_set.number());
     let (mut all, mut with) = (0, 0);
     for primitive in triangles {
         all += 1;
@@ -191,7 +191,7 @@ fn read(
     let mut index = MaterialIndex::new(&doc)?;
     let mut merge = None;
     if merging {
-        merge = asset::prepare_merge(&mut doc, &mut index, options.atlas.uv_set as usize)?;
+        merge = asset::prepare_merge(&mut doc, &mut index, options.atlas.uv_set.number())?;
         if merge.is_none() {
             let text = "the model is not merged: it uses an extension, or animates materials, that merging does not understand";
             context.warn(Warning::new("not_merged", text));

@@ -14,7 +14,7 @@ pub use super::importance::ImportanceSource;
 pub use super::recipe::Recipe;
 use super::recipe::{PRESETS, PresetStage, Step, preset};
 use super::table::{self, StageSections};
-use crate::asset::{ReadOptions, Tiling};
+use crate::asset::{ReadOptions, Tiling, UvSet};
 use crate::atlas::OverlapMode;
 use crate::metrics::{self, Requirement};
 use crate::packing::Pack;
@@ -185,8 +185,9 @@ params! {
         pub overlaps: OverlapMode = OverlapMode::Stack;
         /// What happens to charts that repeat their texture.
         pub tiling: Tiling = Tiling::Bake;
-        /// Number of the TEXCOORD set that is refined.
-        pub uv_set: u32 = 0, in 0..=7;
+        /// The TEXCOORD set that is refined, by its number; `new` makes the layout a set of its own, by the first free number: the uploaded
+        /// set stays, with the images that are read through it.
+        pub uv_set: UvSet = UvSet::Number(0);
         /// What happens when nothing is gained.
         pub if_larger: IfLarger = IfLarger::KeepInput;
     }

@@ -135,7 +135,8 @@ pub(super) fn sides(sheet_info: &SheetInfo, options: &Options) -> (f64, Rounding
     let texture = &options.texture;
     let step = f64::from(lcm(texture.multiple_of, sheet_info.unit).unwrap_or(u32::MAX));
     let round = match (sheet_info.is_virtual, texture.power_of_two) {
-        (true, _) => Rounding::MultipleOf(1.0),
+        (true, true) => Rounding::PowerOfTwo(1.0),
+        (true, false) => Rounding::MultipleOf(1.0),
         (false, true) => Rounding::PowerOfTwo(step),
         (false, false) => Rounding::MultipleOf(step),
     };

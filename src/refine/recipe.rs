@@ -111,9 +111,9 @@ pub const PRESETS: &[Preset] = &[
     },
     Preset {
         name: "unwrap",
-        description: "Makes a layout of the surface alone: the shortest seams that a bound on distortion allows, packed. What has a layout gets a new one.",
+        description: "Makes a layout of the surface alone: the shortest seams that a bound on distortion allows, packed. What has a layout keeps it, with its textures, and gets one more.",
         stages: &[PresetStage::new("optcuts")],
-        options: r#"{"atlas": {"if_larger": "accept"}, "optcuts": {"start": "fresh"}}"#,
+        options: r#"{"atlas": {"uv_set": "new", "if_larger": "accept"}, "optcuts": {"start": "fresh"}}"#,
     },
     Preset {
         name: "polish",

@@ -146,6 +146,7 @@ fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasRepo
         name: set.name.clone(),
         models,
         materials: material_names(loaded, r.group),
+        uv_sets: uv_sets(r),
         pages: r.atlas.sheets.len() as u64,
         // What is only inspected is judged as it is.
         refined: r.atlas.has_layout(),
@@ -153,6 +154,12 @@ fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasRepo
         before,
         after,
     }
+}
+
+/// The numbers of the TEXCOORD sets that have the layout, ascending.
+fn uv_sets(r: &Refinement<'_>) -> Vec<u64> {
+    let primitives = r.group.members.iter().flat_map(|m| &m.set.primitives).filter(|_| r.atlas.has_layout());
+    sorted_unique(primitives.map(|p| if r.kept { p.layout.uv_set } else { p.written } as u64))
 }
 
 /// The names of the members' materials, model by model, each once.

@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use serde_json::Value;
+use intarsia::asset::{Document, File, Limits, load, raw_elements, read_indices, read_vec2};
+use serde_json::{Value, json};
 
 fn intarsia(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
     let program = Command::new(env!("CARGO_BIN_EXE_intarsia")).args(arguments).current_dir(folder).output().unwrap();
@@ -87,6 +88,59 @@ fn several_models_come_out_as_several() {
     assert!(atlases.len() > 1 && atlases.iter().all(|a| a["importance"].is_array()), "{out}");
 }
 
+/// The UVs at the corners of all triangles of a primitive, as bits.
+fn corners(doc: &Document, primitive: &Value, set: &str) -> Vec<[u32; 2]> {
+    let index = |value: &Value| value.as_u64().unwrap() as usize;
+    let uvs = read_vec2(doc, index(&primitive["attributes"][set])).unwrap();
+    let indices = read_indices(doc, index(&primitive["indices"])).unwrap();
+    indices.iter().map(|i| uvs[*i as usize].map(f32::to_bits)).collect()
+}
+
+#[test]
+fn unwrapping_a_textured_model_leaves_its_textures_alone() {
+    let folder = with_sample();
+    let run = |arguments: &[&str]| {
+        let (code, _, errors) = intarsia(folder.path(), arguments);
+        assert_eq!(code, 0, "{errors}");
+    };
+    let json = |name: &str| -> Value { serde_json::from_slice(&fs::read(folder.path().join(name)).unwrap()).unwrap() };
+    let fast = ["--recipe", "unwrap", "--set", "optcuts.quality=fast", "-q"];
+    run(&[&["refine", "in.glb", "-o", "out.glb", "--report", "report.json"][..], &fast].concat());
+    let opened = |name: &str| {
+        let file = File { path: name.to_owned(), bytes: fs::read(folder.path().join(name)).unwrap() };
+        load(&[file], None, &Limits::default()).unwrap().0
+    };
+    let (before, after) = (opened("in.glb"), opened("out.glb"));
+    for key in ["materials", "textures", "samplers"] {
+        assert_eq!(after.json[key], before.json[key]);
+    }
+    assert_eq!(after.images, before.images);
+    let [old, new] = [&before, &after].map(|doc| doc.json["meshes"][0]["primitives"][0].clone());
+    // The uploaded coordinates are the same bytes, those of vertices that are doubled at seams behind them.
+    let bytes = |doc: &Document, primitive: &Value| {
+        raw_elements(doc, primitive["attributes"]["TEXCOORD_0"].as_u64().unwrap() as usize).unwrap().data
+    };
+    assert!(bytes(&after, &new).starts_with(&bytes(&before, &old)));
+    assert_eq!(corners(&after, &new, "TEXCOORD_0"), corners(&before, &old, "TEXCOORD_0"));
+    assert_ne!(corners(&after, &new, "TEXCOORD_1"), corners(&after, &new, "TEXCOORD_0"));
+    let report = json("report.json");
+    assert_eq!((&report["atlases"][0]["uv_sets"], &report["textures"]), (&json!([1]), &json!([])));
+
+    // Read back, it is a layout without an overlap.
+    let (code, out, errors) = intarsia(folder.path(), &["inspect", "out.glb", "--json", "--set", "atlas.uv_set=1"]);
+    assert_eq!(code, 0, "{errors}");
+    let read: Value = serde_json::from_str(&out).unwrap();
+    let measures = &read["atlases"][0]["after"];
+    assert_eq!(measures["charts"], report["atlases"][0]["after"]["charts"]);
+    assert!(measures["overlap_fraction"].as_f64() < Some(1e-6) && measures["flipped_triangles"] == 0, "{measures}");
+
+    // Asked for by its number, the uploaded set is replaced, and its textures are drawn anew.
+    run(&[&["refine", "in.glb", "-o", "in_place.glb", "--set", "atlas.uv_set=0"][..], &fast].concat());
+    let in_place = opened("in_place.glb");
+    assert!(in_place.json["meshes"][0]["primitives"][0]["attributes"].get("TEXCOORD_1").is_none());
+    assert_ne!(in_place.images, before.images);
+}
+
 #[test]
 fn exit_codes_tell_whose_fault_it_is() {
     let folder = with_sample();
@@ -98,6 +152,12 @@ fn exit_codes_tell_whose_fault_it_is() {
         (&["refine", "in.glb", "-o", "nowhere/out.glb"], 2, "folder"),
         (&["refine", "in.glb", "-o", "out.glb", "--set", "pack.guter=1"], 2, "did you mean `gutter`?"),
         (&["refine", "in.glb", "-o", "out.glb", "--recipe", "pak"], 2, "did you mean `pack`?"),
+        (&["refine", "in.glb", "-o", "out.glb", "--set", "atlas.uv_set=9"], 2, "outside 0..=7"),
+        (
+            &["refine", "in.glb", "-o", "out.glb", "--recipe", "unwrap", "--set", "atlas.merge=true"],
+            2,
+            "no image changes",
+        ),
         (&["refine", "in.glb", "-o", "out.glb", "--options", "options.json"], 2, "/pack/grid"),
         (&["refine", "none.glb", "-o", "out.glb"], 3, "none.glb"),
         (&["refine", "broken.glb", "-o", "out.glb"], 3, "invalid_model"),

@@ -118,19 +118,36 @@ fn surfaces_of_research_and_broken_ones_are_unwrapped() {
     }
 }
 
-/// The textured model is polished with its textures, and given a new layout with its textures.
+/// The textured model is polished with its textures.
 #[test]
 fn textures_come_along() {
-    for recipe in ["polish", "unwrap"] {
-        let glb = sample("strips").expect("a sample");
-        let outcome = run("strips", recipe, vec![File { path: "strips.glb".to_owned(), bytes: glb.clone() }]);
-        every::whole(recipe, &every::written(&format!("strips.{recipe}"), &glb), &glb, &outcome);
+    let glb = sample("strips").expect("a sample");
+    let outcome = run("strips", "polish", vec![File { path: "strips.glb".to_owned(), bytes: glb.clone() }]);
+    every::whole("polish", &every::written("strips.polish", &glb), &glb, &outcome);
+    let report = &outcome.report;
+    assert_eq!(list(&report["warnings"]).len(), 0, "{:#}", report["warnings"]);
+    assert_eq!(report["atlases"][0]["uv_sets"], serde_json::json!([0]));
+    let texture = &report["textures"][0];
+    assert!(texture["psnr_db"].as_f64().is_some_and(|p| p > 30.0), "{texture}");
+    let density = |when: &str| report["atlases"][0][when]["texel_density"]["median"].as_f64().expect("a density");
+    let ratio = density("after") / density("before");
+    assert!((0.5..2.0).contains(&ratio), "texels by length changed by {ratio}");
+}
+
+/// What has a layout keeps it, with its textures, and gets one more.
+#[test]
+fn textured_models_get_a_layout_beside_their_own() {
+    for name in ["textured", "skinned", "two_materials"] {
+        let glb = sample(name).expect("a sample");
+        let outcome = run(name, "unwrap", vec![File { path: format!("{name}.glb"), bytes: glb.clone() }]);
+        every::whole(name, &every::written(&format!("{name}.new"), &glb), &glb, &outcome);
         let report = &outcome.report;
-        assert_eq!(list(&report["warnings"]).len(), 0, "{recipe}: {:#}", report["warnings"]);
-        let texture = &report["textures"][0];
-        assert!(texture["psnr_db"].as_f64().is_some_and(|p| p > 30.0), "{recipe}: {texture}");
-        let density = |when: &str| report["atlases"][0][when]["texel_density"]["median"].as_f64().expect("a density");
-        let ratio = density("after") / density("before");
-        assert!((0.5..2.0).contains(&ratio), "{recipe}: texels by length changed by {ratio}");
+        assert_eq!(list(&report["textures"]).len(), 0, "{name}: no texture is drawn anew");
+        for atlas in list(&report["atlases"]) {
+            assert!(
+                atlas["refined"] == true && atlas["after"]["overlap_fraction"].as_f64() < Some(1e-6),
+                "{name}: {atlas}"
+            );
+        }
     }
 }

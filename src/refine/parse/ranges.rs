@@ -1,6 +1,7 @@
 //! Options that their types allow and that make no sense.
 
 use super::MAX_METADATA_BYTES;
+use crate::asset::UvSet;
 use crate::params::{Problem, out_of_range};
 use crate::refine::options::{Options, Recipe};
 
@@ -17,6 +18,10 @@ pub(super) fn ranges(o: &Options) -> Vec<Problem> {
     }
     out.extend(out_of_range(&o.texture, "/texture"));
     out.extend(out_of_range(&o.atlas, "/atlas"));
+    if o.atlas.merge && o.atlas.uv_set == UvSet::New {
+        let text = "`merge` makes one atlas of images, and with `uv_set` \"new\" no image changes";
+        out.push(Problem::new("/atlas/merge", text));
+    }
     if let Some(fabrication) = &o.fabrication {
         out.extend(out_of_range(fabrication, "/fabrication"));
     }
