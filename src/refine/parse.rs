@@ -11,7 +11,6 @@ use std::collections::BTreeMap;
 use serde_json::{Map, Value};
 
 use super::options::{Options, Output};
-use super::recipe::is_later;
 use crate::config::OptionFlags;
 use crate::error::{Code, Failure};
 use crate::metrics::Requirement;
@@ -113,9 +112,6 @@ pub fn set(options: &mut Value, assignment: &str) -> Result<(), Problem> {
     let mut segments: Vec<&str> = path.split('.').collect();
     if segments.iter().any(|s| s.is_empty()) || segments.len() > 16 {
         return Err(Problem::new("", format!("`{path}` is not a dotted path to an option")));
-    }
-    if let Some(stage) = segments.first().filter(|s| is_later(s)) {
-        return Err(recipe::not_yet("/recipe", &format!("stage `{stage}`")));
     }
     // Paths of the report hold dots themselves: `require.atlas.charts.max` bounds `atlas.charts`.
     let joined;

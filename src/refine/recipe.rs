@@ -121,10 +121,27 @@ pub const PRESETS: &[Preset] = &[
         stages: &[PresetStage::new("optcuts")],
         options: r#"{"atlas": {"if_larger": "accept"}, "optcuts": {"start": "uploaded", "max_distortion": "input"}}"#,
     },
+    Preset {
+        name: "unwrap_tight",
+        description: "As unwrap, then deforms and cuts the charts until they pack with the efficiency that is asked for.",
+        stages: &[PresetStage::new("optcuts"), PresetStage::new("bounded")],
+        options: r#"{"atlas": {"uv_set": "new", "overlaps": "separate", "if_larger": "accept"}, "optcuts": {"start": "fresh"}}"#,
+    },
+    Preset {
+        name: "lightmap",
+        description: "A TEXCOORD set more in which nothing overlaps, nine tenths of the sheet's box are covered and four texels lie between charts; textures stay.",
+        stages: &[PresetStage::new("bounded")],
+        options: r#"{"atlas": {"uv_set": "new", "overlaps": "separate", "if_larger": "accept"}, "pack": {"gutter": 4},
+            "texture": {"power_of_two": true}, "bounded": {"packing_efficiency": 0.9}}"#,
+    },
+    Preset {
+        name: "tight",
+        description: "Bounds packing efficiency and seams at once, by deforming and cutting or by cutting alone, whichever needs shorter seams.",
+        stages: &[PresetStage::new("bounded")],
+        options: r#"{"atlas": {"overlaps": "separate", "if_larger": "accept"},
+            "bounded": {"max_boundary_length": 1.35, "straight_cuts_alone": true}}"#,
+    },
 ];
-
-/// Stages of the contract that this version does not have yet.
-const LATER: &[&str] = &["bounded"];
 
 /// The preset of that name.
 pub fn preset(name: &str) -> Option<&'static Preset> {
@@ -135,11 +152,6 @@ pub fn preset(name: &str) -> Option<&'static Preset> {
 pub fn recipes() -> impl Iterator<Item = (&'static str, &'static str)> {
     let stages = table::all().map(|stage| (stage.name(), stage.description()));
     stages.chain(PRESETS.iter().map(|preset| (preset.name, preset.description)))
-}
-
-/// Whether a stage of that name is to come.
-pub(super) fn is_later(name: &str) -> bool {
-    LATER.contains(&name) && table::find(name).is_none()
 }
 
 /// A stage that is about to run.

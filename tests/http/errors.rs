@@ -46,7 +46,7 @@ fn bad_submissions_are_told_what_is_wrong() {
         (Form::sample().file("files", "../a.png", b"x"), 400, "invalid_request", "leaves"),
         (Form::sample().file("files", "a.png", b"x").file("files", "a.png", b"y"), 400, "invalid_request", "two files"),
         (Form::sample().text("options", "[]"), 422, "invalid_options", "object"),
-        (Form::sample().text("options", "{\"recipe\": \"bounded\"}"), 422, "invalid_options", "not available"),
+        (Form::sample().text("options", "{\"recipe\": \"bonded\"}"), 422, "invalid_options", "did you mean `bounded`"),
     ] {
         let problem = problem(server.submit(&form));
         let detail = problem["detail"].as_str().unwrap();

@@ -52,6 +52,8 @@ pub(super) struct Constructed {
 
 /// What corners cost where the first try fails; that of the first stands for it.
 const OTHERWISE: [f64; 5] = [0.0, 0.0, 0.05, 0.15, 0.4];
+/// Distortion, as a multiple of an isometry's, of a plain rectangle that is bent out of shape.
+const BENT: f64 = 1.5;
 /// Rounds of dividing faces that would be flattened.
 const ROUNDS: usize = 4;
 
@@ -164,6 +166,14 @@ fn more(map: &ChartMap, targets: &[i32], part: f64) -> Vec<usize> {
         }
     }
     out
+}
+
+impl Constructed {
+    /// The disks, as they were numbered before some were left out, that only became rectangles, and bent ones.
+    pub fn bent(&self) -> impl Iterator<Item = usize> {
+        let pairs = self.disks.iter().zip(&self.number);
+        pairs.filter(|(d, _)| d.is_fallback && d.map.distortion() > BENT).map(|(_, n)| *n)
+    }
 }
 
 /// A disk and what its boundary edges are to become.

@@ -30,6 +30,8 @@ use self::params::{Bounded, Energy, Search};
 use self::prepare::{NO_DISK, Prepared, Target, prepare};
 use self::reduce::{Reduction, reduce};
 use self::sheet::assemble;
+use super::box_cutter::box_cutter;
+use super::box_cutter::params::BoxCutter;
 use super::pack::{finished, lay_out};
 use super::stage::{StageInput, Staged};
 use crate::atlas::{Atlas, Charts, FaceId, OverlapMode, Topology, clusters, coverage};
@@ -39,13 +41,18 @@ use crate::packing::{Random, RectangleRequest};
 /// What corners cost in the constructions that are tried, in parts of the square root of a chart's area: few corners first.
 const CORNERS: [f64; 3] = [0.02, 0.004, 0.0008];
 /// What is tried: a construction, and packing efficiency of the boxes beyond the bound, which reduction may use up. Seams get longer, distortion less.
-const LADDER: [(usize, f64); 6] = [(0, 0.04), (0, 0.09), (1, 0.09), (1, 0.13), (2, 0.13), (2, 0.17)];
+const LADDER: [(usize, f64); 8] =
+    [(0, 0.04), (0, 0.09), (1, 0.09), (1, 0.13), (2, 0.13), (1, 0.16), (2, 0.165), (2, 0.185)];
 /// Parts of sides between which trails may start where corners do not suffice for the bound, in parts of the square root of the area of all charts.
 const PARTS: [f64; 3] = [0.25, 0.12, 0.06];
 /// Highest packing efficiency that boxes are searched for.
 const TIGHTEST: f64 = 0.985;
 /// How much more distortion than in the input is no more, relative to it.
 const AS_GOOD: f64 = 5e-4;
+/// What more distortion than in the input counts, relative to it, in parts of the seams before.
+const WORSE: f64 = 40.0;
+/// How often charts that cannot be made axis-aligned are halved.
+const HALVINGS: usize = 6;
 /// Rounds of reduction, and steps in each.
 const ROUNDS: usize = 30;
 const STEPS: usize = 2;
@@ -110,7 +117,16 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
     let mut kept_as_they_are = 0;
     let (before, best) = loop {
         let before = distortion_of(&prepared, target);
-        let best = job.best(&prepared, before, &mut work)?;
+        // What cannot be made axis-aligned without being bent out of shape is halved until it can.
+        let mut first = job.construct(&prepared, 1, f64::INFINITY)?;
+        for _ in 0..HALVINGS {
+            let bent: Vec<usize> = first.bent().collect();
+            if bent.is_empty() || context.out_of_time() || !prepared.halve(&bent) {
+                break;
+            }
+            first = job.construct(&prepared, 1, f64::INFINITY)?;
+        }
+        let best = job.best(&prepared, first, before, &mut work)?;
         // A chart whose faces 32 bits cannot hold stays as it was.
         let out: Vec<bool> =
             (0..prepared.disks.len()).map(|d| best.as_ref().is_some_and(|b| b.unwritable.contains(&d))).collect();
@@ -127,6 +143,11 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
             sheet_info.id
         );
         context.warn(Warning::new("charts_kept", text));
+    }
+    if params.straight_cuts_alone
+        && let Some(staged) = straight(input, params, best.as_ref(), seams)?
+    {
+        return Ok(staged);
     }
     let Some(best) = best else {
         return Ok(Staged { atlas: atlas.clone(), stopped_by: "nothing_to_pack", figures: Map::new(), kept: true });
@@ -154,6 +175,29 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
     Ok(finished(input, best.atlas, stopped_by, figures))
 }
 
+/// What straight cuts alone reach (Box Cutter), where that is the bound, with shorter seams than the best attempt.
+fn straight(input: &StageInput<'_>, params: &Bounded, best: Option<&Attempt>, seams: f64) -> Result<Option<Staged>> {
+    let bound = params.packing_efficiency;
+    input.context.step(0.96, "trying straight cuts alone")?;
+    let cuts = BoxCutter {
+        max_boundary_length: params.max_boundary_length.or(Some(2.0)),
+        target_packing_efficiency: Some(bound),
+        ..input.options.stages.get()
+    };
+    let weights = input.corner_weights();
+    let staged = box_cutter(input, weights.as_deref(), &cuts)?;
+    let reached = efficiency(&staged.atlas);
+    let own = (seam_length(&staged.atlas) - seams).max(0.0);
+    let is_better = best.is_none_or(|b| b.efficiency < bound || own < b.cut);
+    if reached < bound || !is_better {
+        return Ok(None);
+    }
+    let mut figures = staged.figures;
+    figures.insert("packing_efficiency".to_owned(), json!(reached));
+    figures.insert("bound_met".to_owned(), json!(true));
+    Ok(Some(Staged { stopped_by: "straight_cuts", figures, ..staged }))
+}
+
 /// What all attempts have in common.
 struct Job<'a> {
     input: &'a StageInput<'a>,
@@ -166,19 +210,21 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
+    /// All disks axis-aligned, corners at the price `CORNERS[corner]`.
+    fn construct(&self, prepared: &Prepared, corner: usize, part: f64) -> Result<Constructed> {
+        let how = Construction { sigma: self.params.sigma, corner: CORNERS[corner], target: self.target, part };
+        construct(prepared, &how, self.weights, &|| self.input.context.check())
+    }
+
     /// The best of some attempts; none where there is nothing to place.
-    fn best(&self, prepared: &Prepared, before: f64, work: &mut u64) -> Result<Option<Attempt>> {
-        let Job { params, weights, seams, .. } = *self;
+    fn best(&self, prepared: &Prepared, first: Constructed, before: f64, work: &mut u64) -> Result<Option<Attempt>> {
+        let Job { params, seams, .. } = *self;
         let context = self.input.context;
         let bound = params.packing_efficiency;
-        let interrupt = || context.check();
         let area: f64 = prepared.disks.iter().map(|d| d.area).sum();
-        let construct = |corner: f64, part: f64| {
-            let how = Construction { sigma: params.sigma, corner, target: self.target, part };
-            construct(prepared, &how, weights, &interrupt)
-        };
         let goal = |slack: f64| (bound + slack).min(TIGHTEST.max(bound));
         let mut constructed: [Option<Constructed>; CORNERS.len()] = [const { None }; CORNERS.len()];
+        constructed[1] = Some(first);
         let mut attempts: Vec<Attempt> = Vec::new();
         let is_good = |a: &Attempt| a.efficiency >= bound && a.distortion <= before * (1.0 + AS_GOOD);
         let is_paper = params.search == Search::Paper;
@@ -188,7 +234,7 @@ impl Job<'_> {
             for k in wave.iter().map(|k| LADDER[*k].0) {
                 if constructed[k].is_none() {
                     context.step(0.15 + 0.25 * f64::from(round), "making charts axis-aligned")?;
-                    constructed[k] = Some(construct(CORNERS[k], f64::INFINITY)?);
+                    constructed[k] = Some(self.construct(prepared, k, f64::INFINITY)?);
                 }
             }
             context.step(0.3 + 0.25 * f64::from(round), "dividing, packing and relaxing")?;
@@ -199,6 +245,15 @@ impl Job<'_> {
             let made: Vec<Attempt> =
                 wave.par_iter().map(one).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
             let good: Vec<bool> = made.iter().map(is_good).collect();
+            for (k, a) in wave.iter().zip(&made) {
+                tracing::debug!(
+                    rung = k,
+                    efficiency = a.efficiency,
+                    distortion = a.distortion / before,
+                    cut = a.cut / seams,
+                    "attempt"
+                );
+            }
             attempts.extend(made);
             if is_paper || context.out_of_time() {
                 break;
@@ -207,6 +262,7 @@ impl Job<'_> {
                 (0, [true, ..]) => vec![0],
                 (0, [false, true]) => vec![2],
                 (0, _) => vec![4, 5],
+                (1, [false, false]) => vec![6, 7],
                 _ => break,
             };
         }
@@ -216,7 +272,7 @@ impl Job<'_> {
                 break;
             }
             context.step(0.9, "dividing further")?;
-            let constructed = construct(CORNERS[1], part * area.sqrt())?;
+            let constructed = self.construct(prepared, 1, part * area.sqrt())?;
             for slack in [0.01, 0.05] {
                 attempts.push(self.attempt(&constructed, goal(slack), before)?);
             }
@@ -228,7 +284,7 @@ impl Job<'_> {
             let missing = (bound - a.efficiency).max(0.0);
             let over = (a.cut - allowed).max(0.0) / seams.max(1e-300);
             let worse = (a.distortion / before - 1.0 - AS_GOOD).max(0.0);
-            (missing, over, 5.0 * worse + a.cut / seams.max(1e-300))
+            (missing, over, WORSE * worse + a.cut / seams.max(1e-300))
         };
         let best = attempts.into_iter().min_by(|a, b| {
             let (a, b) = (value(a), value(b));

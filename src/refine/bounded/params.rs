@@ -15,6 +15,8 @@ params! {
         /// Longest 3D seams after cutting, relative to those before; null is no limit. The packing efficiency comes first: where both
         /// cannot be had, seams are as short as the search finds them, and the report says so.
         pub max_boundary_length: Option<f64> = None, in 1..=1000;
+        /// Whether Box Cutter's straight cuts, which deform nothing, are tried too and taken where they reach the bound with shorter seams.
+        pub straight_cuts_alone: bool = false;
         /// What distortion is measured against while it is reduced (section 3.4).
         pub energy: Energy = Energy::Surface;
         /// Whether the maps stay as they were cut, continuous across the new seams: nothing is reduced then (section 5, *Mapping continuity*).
@@ -26,7 +28,7 @@ params! {
         /// Free distance about each rectangle, relative to the diagonal of the input's bounding box (section 3.2: 0.0025).
         pub padding: f64 = 0.0005, in 0..=0.05;
         /// Divisions that are tried for each construction (section 3.2: 500).
-        pub candidates: u32 = 2000, in 1..=100000;
+        pub candidates: u32 = 5000, in 1..=100000;
         /// How divisions are searched for.
         pub search: Search = Search::Default;
     }

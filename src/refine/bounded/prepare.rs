@@ -5,14 +5,16 @@
 //! a map of its own (Tutte 1963, then the least distortion).
 
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BTreeMap, BinaryHeap};
 
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::chart_map::ChartMap;
 use crate::atlas::groups::{DisjointSets, Grouped};
-use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Loops, Mesh, Provenance, UvId, orientation};
+use crate::atlas::{
+    Atlas, Charts, FaceId, HalfEdge, Loops, Mesh, Provenance, TrailEnd, TrailPoint, TrailStart, UvId, orientation,
+};
 use crate::error::Result;
 use crate::numeric::dirichlet::flattened;
 use crate::numeric::newton::{self, Workspace};
@@ -20,6 +22,8 @@ use crate::numeric::tutte;
 
 /// Least edges of a boundary that is to have four corners, and some freedom.
 const LEAST_EDGES: usize = 8;
+/// Places from which cuts across a disk are tried.
+const TRIALS: usize = 96;
 /// Steps towards the least distortion of a map that is made anew.
 const STEPS: usize = 60;
 /// Relative decrease of a step below which they end.
@@ -64,6 +68,76 @@ pub(super) enum Target {
 }
 
 impl Prepared {
+    /// Cuts some disks in two, each straight across at a place where that is short for the boundary that it leaves on either side; gives whether any was.
+    pub fn halve(&mut self, which: &[usize]) -> bool {
+        let mut any = false;
+        for &d in which {
+            let Some((corner, direction, snap)) = self.across(d) else { continue };
+            let cut = self.mesh.cut_trail(TrailStart::Corner(corner), direction, f64::INFINITY, snap);
+            self.labels.extend(&cut.faces);
+            self.uploaded.extend_from_slice(&self.mesh.atlas().uv[self.uploaded.len()..]);
+            any |= !cut.path.is_empty();
+        }
+        if any {
+            // The parts of a disk are those that hang together.
+            let charts = Charts::new(self.mesh.topology());
+            let mut disks = Vec::with_capacity(self.disks.len());
+            for faces in charts.faces {
+                let old = self.labels.disk[faces[0].index()];
+                if old == NO_DISK {
+                    continue;
+                }
+                let of = &self.disks[old as usize];
+                let atlas = self.mesh.atlas();
+                let area = faces.iter().map(|f| atlas.area(*f)).sum::<f64>() * of.density * of.density;
+                disks.push(Disk { faces, area, ..of.clone() });
+            }
+            for (d, disk) in disks.iter().enumerate() {
+                disk.faces.iter().for_each(|f| self.labels.disk[f.index()] = d as u32);
+            }
+            self.disks = disks;
+        }
+        any
+    }
+
+    /// Where to cut a disk in two.
+    fn across(&self, d: usize) -> Option<(HalfEdge, DVec2, f64)> {
+        let map = self.map(&self.disks[d], Target::Surface).filter(ChartMap::is_valid)?;
+        let n = map.boundary.len();
+        let mut along = vec![0.0];
+        for l in map.lengths() {
+            along.push(along[along.len() - 1] + l);
+        }
+        let total = along[n];
+        let place: BTreeMap<UvId, usize> =
+            map.boundary.iter().enumerate().map(|(i, v)| (map.uvs[*v as usize], i)).collect();
+        let snap = 1e-7 * total;
+        let mut best: Option<(f64, HalfEdge, DVec2)> = None;
+        for k in 0..TRIALS.min(n) {
+            let i = k * n / TRIALS.min(n);
+            let inward = (map.edge((i + n - 1) % n).normalize_or_zero() + map.edge(i).normalize_or_zero()).perp();
+            let uv = map.uvs[map.boundary[i] as usize];
+            let own = |c: &HalfEdge| self.labels.disk[c.face().index()] == d as u32;
+            let Some(corner) = self.mesh.corners_of(uv).find(own) else { continue };
+            let trail = self.mesh.trail(TrailStart::Corner(corner), inward, f64::INFINITY, snap);
+            if trail.end != TrailEnd::Border || trail.points.len() < 3 {
+                continue;
+            }
+            let end = match trail.points.last() {
+                Some(TrailPoint::Vertex(u)) => place.get(u),
+                Some(TrailPoint::Edge(h, _)) => place.get(&self.mesh.uv_at(*h)),
+                None => None,
+            };
+            let Some(&end) = end else { continue };
+            let arc = (along[end] - along[i]).abs();
+            let score = trail.length / arc.min(total - arc).max(1e-300);
+            if best.as_ref().is_none_or(|b| score < b.0) {
+                best = Some((score, corner, inward));
+            }
+        }
+        best.map(|(_, corner, direction)| (corner, direction, snap))
+    }
+
     /// Leaves some disks as they were uploaded.
     pub fn exclude(&mut self, is_out: &[bool]) {
         let mut name = Vec::with_capacity(self.disks.len());

@@ -10,7 +10,7 @@ use super::cut::bounds;
 use super::layer::layer;
 use super::prepare::{Labels, NO_DISK, boundary, rest_shape};
 use super::reduce::PackedCharts;
-use crate::atlas::{Atlas, Charts, FaceId, Mesh, UvId, orientation};
+use crate::atlas::{Atlas, Charts, FaceId, Mesh, OverlapMode, Topology, UvId, clusters, coverage, orientation};
 use crate::error::Warning;
 use crate::numeric::dirichlet::RestTriangle;
 use crate::packing::{RectanglePacker, RectangleRequest, Rotation};
@@ -206,7 +206,9 @@ fn charts_of(
         let wide = DVec2::splat(0.5 * gap);
         out.fixed.push((low, high));
         out.fixed_walls.push((low - wide, high + wide));
-        out.fixed_area += piece.faces.iter().map(|f| atlas.uv_area(*f).abs()).sum::<f64>();
+        let part = Atlas { page: vec![0; piece.faces.len()], ..atlas.subset(&piece.faces) };
+        let charts = Charts::new(&Topology::new(&part));
+        out.fixed_area += coverage(&part, &charts, &clusters(&part, &charts, OverlapMode::Separate)).covered;
     }
     (out, name)
 }
@@ -284,7 +286,10 @@ fn sheet_size(input: &StageInput<'_>, size: DVec2, room: DVec2) -> (f64, [u32; 2
     let (max, round) = sides(input.sheet_info, options);
     let sheet = (size + room).to_array().map(|s| round.up(s));
     if sheet[0] <= max && sheet[1] <= max {
-        return (1.0, whole(sheet));
+        // What has no texels yet fills its sheet.
+        let scale =
+            if input.sheet_info.is_virtual && options.texture.power_of_two { fitted(sheet).max(1.0) } else { 1.0 };
+        return (scale, whole(sheet));
     }
     let (id, side) = (input.sheet_info.id, options.texture.max_size);
     let text = format!("the charts of atlas {id} are scaled down to fit on a sheet of {side} texels");

@@ -4,7 +4,7 @@ use serde_json::{Map, Value, json};
 
 use crate::params::{Problem, child, keys, kind, nearest, short};
 use crate::refine::erased::ErasedStage;
-use crate::refine::recipe::{MAX_STAGES, Recipe, is_later, preset, recipes};
+use crate::refine::recipe::{MAX_STAGES, Recipe, preset, recipes};
 use crate::refine::table;
 
 /// A recipe as people name it: a preset or a stage, or stages joined by commas, as the option's JSON.
@@ -83,13 +83,6 @@ fn unknown_name(pointer: &str, name: &str) -> Option<Problem> {
     if names.contains(&name) {
         return None;
     }
-    if is_later(name) {
-        return Some(not_yet(pointer, &format!("recipe `{name}`")));
-    }
     let hint = nearest(name, &names).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
     Some(Problem::new(pointer, format!("no recipe or stage is called `{}`{hint}", short(name))))
-}
-
-pub(super) fn not_yet(pointer: &str, what: &str) -> Problem {
-    Problem::new(pointer, format!("{what} is not available in this version"))
 }

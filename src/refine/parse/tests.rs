@@ -22,7 +22,7 @@ fn every_problem_is_found_with_its_pointer() {
     let bad = json!({
         "pack": {"gutters": 2, "grid": 0, "rotation": "quater"}, "texture": {"jpeg_quality": 101, "mutliple_of": 4},
         "atlas": {"merge": 1, "uv_set": 9}, "importance": {"attribute": "COLOR_0.red"}, "time_limit_s": -1,
-        "require": {"atlas.charts": {}, "model.x/y": {"minimum": 1}}, "recipe": [{"stage": "pack", "grid": 2}, {"stage": "bounded"}],
+        "require": {"atlas.charts": {}, "model.x/y": {"minimum": 1}}, "recipe": [{"stage": "pack", "grid": 2}, {"stage": "bonded"}],
         "seed": "x", "colour": 1,
     });
     let problems = options(&bad).unwrap_err();
@@ -40,7 +40,7 @@ fn every_problem_is_found_with_its_pointer() {
         ("/require/atlas.charts", "at least one of"),
         ("/require/model.x~1y/minimum", "did you mean `min`?"),
         ("/recipe/0/grid", "beside the recipe"),
-        ("/recipe/1/stage", "not available in this version"),
+        ("/recipe/1/stage", "did you mean `bounded`?"),
         ("/seed", "invalid type"),
         ("/colour", "unknown option `colour`"),
     ] {
@@ -165,7 +165,8 @@ fn paths_set_values() {
     assert!(set(&mut value, "pack.rotation.x=1").is_err());
     set(&mut value, "box_cutter.max_boundary_length=1.3").unwrap();
     assert_eq!(super::options(&value).unwrap().stages.get::<BoxCutter>().max_boundary_length, Some(1.3));
-    assert!(set(&mut value, "bounded.padding=1").unwrap_err().message.contains("not available"));
+    set(&mut value, "bounded.packing_efficiency=0.99").unwrap();
+    assert!(super::options(&value).unwrap_err()[0].message.contains("outside 0.01..=0.97"));
 }
 
 #[test]
@@ -175,7 +176,6 @@ fn recipes_are_names_or_stages() {
     assert_eq!(named("pack").unwrap().recipe, Recipe::Preset("pack".to_owned()));
     assert_eq!(named("pack, pack").unwrap().recipe, Recipe::Stages(vec![pack(), pack()]));
     assert!(named("pak").unwrap_err()[0].message.contains("did you mean `pack`?"));
-    assert!(named("bounded,pack").unwrap_err()[0].message.contains("not available"));
     assert!(named("scan,pack").unwrap_err()[0].message.contains("is a recipe"));
     let defrag = ErasedStage::new(Defrag { retry: false, ..Defrag::default() });
     let listed = options(&json!({ "recipe": recipe_named("defrag,pack"), "defrag": {"retry": false} })).unwrap();
