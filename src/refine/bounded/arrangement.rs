@@ -13,6 +13,9 @@ use crate::atlas::{FaceId, HalfEdge, Mesh, TrailEnd, TrailPoint, TrailStart, UvI
 /// Distance in parts of the chart's extent at which two places are one.
 const SAME: f64 = 1e-7;
 
+/// Distance from a trail, in parts of [`SAME`], within which a vertex is on it.
+const SNAP: f64 = 1e-2;
+
 /// A place where trails begin, end or cross, or a corner.
 #[derive(Debug, Clone)]
 pub(super) struct Node {
@@ -48,6 +51,8 @@ pub(super) struct Motorcycle {
     pub from: u32,
     /// Whether it starts at a reflex corner, where one of two must run.
     pub is_corner: bool,
+    /// How far it can run, in texels.
+    pub length: f64,
 }
 
 /// A rectangle that no trail divides.
@@ -166,7 +171,14 @@ fn walk(
     let own = |c: &HalfEdge| map.faces.binary_search(&c.face()).is_ok();
     let corner = mesh.corners_of(uv).find(own)?;
     let along = axis_direction(direction as i32);
-    let trail = mesh.trail(TrailStart::Corner(corner), along, f64::INFINITY, near * 1e-2);
+    let mut trail = mesh.trail(TrailStart::Corner(corner), along, f64::INFINITY, near * SNAP);
+    // A corner that it touches on its way ends it, as any place of the boundary does.
+    let touches = |p: &TrailPoint| matches!(p, TrailPoint::Vertex(u) if place.contains_key(u));
+    if let Some(at) = trail.points.iter().skip(1).position(touches) {
+        trail.points.truncate(at + 2);
+        trail.end = TrailEnd::Border;
+        trail.length = (mesh.point_position(trail.points[at + 1]) - mesh.position(uv)).dot(along);
+    }
     if trail.end != TrailEnd::Border || trail.points.len() < 2 {
         return None;
     }
@@ -357,6 +369,7 @@ fn build(map: &ChartMap, targets: &[i32], turns: &[i32], walks: Vec<Walk>, near:
             edges,
             from,
             is_corner: w.is_corner,
+            length: w.length,
         });
     }
     find_cells(&mut out)?;

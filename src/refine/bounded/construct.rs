@@ -33,6 +33,8 @@ pub(super) struct AlignedDisk {
     pub arrangement: Arrangement,
     /// Whether it had to become a plain rectangle.
     pub is_fallback: bool,
+    /// Whether its trails could not be followed.
+    pub is_lost: bool,
 }
 
 /// All disks axis-aligned.
@@ -115,7 +117,7 @@ pub(super) fn construct(
         for ((out, map), from) in aligned.iter_mut().zip(done).zip(&mut aimed) {
             if let (Some(map), Some(a)) = (map, &*from) {
                 let arrangement = Arrangement::default();
-                *out = Some(AlignedDisk { map, targets: a.targets.clone(), arrangement, is_fallback });
+                *out = Some(AlignedDisk { map, targets: a.targets.clone(), arrangement, is_fallback, is_lost: false });
                 *from = None;
             }
         }
@@ -129,9 +131,11 @@ pub(super) fn construct(
     let origin = &own.labels.origin;
     let weight = |f: FaceId| weights.map_or(1.0, |w| w[origin[f.index()].index()]);
     aligned.par_iter_mut().flatten().for_each(|d| {
-        // A chart in which trails get lost stays whole.
-        d.arrangement = arrange(mesh, &d.map, &d.targets, &more(&d.map, &d.targets, how.part), &weight)
-            .unwrap_or_else(|| Arrangement::whole(&d.map));
+        match arrange(mesh, &d.map, &d.targets, &more(&d.map, &d.targets, how.part), &weight) {
+            Some(arrangement) => d.arrangement = arrangement,
+            // A chart in which trails get lost stays whole.
+            None => (d.arrangement, d.is_lost) = (Arrangement::whole(&d.map), true),
+        }
     });
     // A disk without a map keeps no place among them.
     let mut name = Vec::with_capacity(aligned.len());
@@ -169,10 +173,10 @@ fn more(map: &ChartMap, targets: &[i32], part: f64) -> Vec<usize> {
 }
 
 impl Constructed {
-    /// The disks, as they were numbered before some were left out, that only became rectangles, and bent ones.
+    /// The disks, as they were numbered before some were left out, that only became rectangles, and bent ones, or in which trails get lost.
     pub fn bent(&self) -> impl Iterator<Item = usize> {
         let pairs = self.disks.iter().zip(&self.number);
-        pairs.filter(|(d, _)| d.is_fallback && d.map.distortion() > BENT).map(|(_, n)| *n)
+        pairs.filter(|(d, _)| d.is_lost || d.is_fallback && d.map.distortion() > BENT).map(|(_, n)| *n)
     }
 }
 

@@ -10,7 +10,7 @@ use super::prepare::Labels;
 use crate::atlas::{FaceId, HalfEdge, Mesh, TrailStart, UvId};
 
 /// Distance from a trail, in parts of the chart's extent, within which a vertex is on it.
-const SNAP: f64 = 1e-6;
+const SNAP: f64 = 1e-9;
 
 /// Cuts one chart along the motorcycles that ran. `own` is the number of its disk.
 pub(super) fn cut_chart(
@@ -28,7 +28,9 @@ pub(super) fn cut_chart(
         let direction = axis_direction(motorcycle.direction as i32);
         let uv = map.uvs[map.boundary[motorcycle.start] as usize];
         let Some(corner) = start_corner(mesh, uv, direction, &labels.disk, own) else { continue };
-        let cut = mesh.cut_trail(TrailStart::Corner(corner), direction, f64::INFINITY, snap);
+        // No farther than it was walked: it may touch a corner on its way, and go on behind it.
+        let length = motorcycle.length + 100.0 * snap;
+        let cut = mesh.cut_trail(TrailStart::Corner(corner), direction, length, snap);
         labels.extend(&cut.faces);
         straighten(mesh, &cut.path, motorcycle.direction);
     }

@@ -129,7 +129,14 @@ mod tests {
         let area: f64 =
             (0..made.outer.len()).map(|i| made.outer[i].perp_dot(made.outer[(i + 1) % made.outer.len()])).sum();
         assert!((0.5 * area - (3.0 * 5.0 + 2.0 * 3.0)).abs() < 1e-9, "{area}");
-        assert!(layer(&points, 1.5).is_some() && layer(&points, 2.5).is_none());
+        assert!(layer(&points, 2.5).is_some(), "a step has room on one side");
+    }
+
+    #[test]
+    fn a_notch_that_is_too_narrow_is_told() {
+        let corners = [[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [4.0, 4.0], [4.0, 2.0], [2.0, 2.0], [2.0, 4.0], [0.0, 4.0]];
+        let corners = corners.map(DVec2::from);
+        assert!(layer(&corners, 0.9).is_some() && layer(&corners, 1.1).is_none());
     }
 
     #[test]

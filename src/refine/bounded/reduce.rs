@@ -31,6 +31,8 @@ pub(super) struct PackedCharts {
     pub has_layers: bool,
     /// Area that is covered in them.
     pub fixed_area: f64,
+    /// Area of all triangles at rest.
+    pub rest_area: f64,
 }
 
 /// What is to be kept and reached.
@@ -56,15 +58,18 @@ pub(super) struct Reduced {
 }
 
 /// Energy of all void triangles together, in parts of that of an isometry of all charts.
-const VOID_ENERGY: f64 = 0.01;
+const VOID_ENERGY: f64 = 0.002;
 /// Height in mean edges below which a void triangle wants to be higher.
-const NARROWEST: f64 = 0.1;
+const NARROWEST: f64 = 0.02;
+/// Area of the charts at the begin, in parts of that at rest, and that to which they come.
+const SMALLER: f64 = 0.95;
+const SETTLED: f64 = 0.985;
 /// How often a step that leaves the charts packed too loosely is halved.
 const HALVINGS: usize = 8;
 /// Rounds in which the box grows.
 const GROWING: usize = 6;
 /// Relative decrease of a step below which a round ends.
-const STILL: f64 = 1e-4;
+const STILL: f64 = 1e-5;
 
 impl Default for PackedCharts {
     fn default() -> Self {
@@ -80,6 +85,7 @@ impl Default for PackedCharts {
             fixed_walls: Vec::new(),
             has_layers: true,
             fixed_area: 0.0,
+            rest_area: 0.0,
         }
     }
 }
@@ -136,12 +142,20 @@ pub(super) fn reduce(
     let mut taken = 0;
     // The box grows from what the charts need now to what the bound allows, and they press against each other before it does.
     let (low, high) = charts.bounds();
-    let (size, middle) = (high - low, 0.5 * (low + high));
+    let middle = 0.5 * (low + high);
+    // Smaller than at rest they expand, which packs them more tightly; larger, they would shrink away from each other. What has its distances keeps them.
+    let scale = (SMALLER * charts.rest_area / charts.area()).sqrt();
+    if charts.fixed.is_empty() && charts.layer.is_empty() && scale < 1.0 {
+        charts.x.iter_mut().for_each(|p| *p = middle + (*p - middle) * scale);
+        energy = charts.energy();
+    }
+    let (low, high) = charts.bounds();
+    let size = high - low;
     let mut good = (charts.x.clone(), energy);
     for round in 0..goal.rounds {
         let (inner, outer) = (charts.bounds(), charts.outer_bounds());
         let part = ((round + 1) as f64 / GROWING as f64).min(1.0);
-        let area = charts.area() + charts.fixed_area;
+        let area = SETTLED * charts.rest_area + charts.fixed_area;
         let allowed = (area / goal.efficiency / size.element_product()).sqrt() * (1.0 - 5e-4);
         let grown = 1.0 + part * (allowed - 1.0).max(0.0);
         let extent = (outer.1 - middle).max(middle - outer.0);

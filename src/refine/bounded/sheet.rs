@@ -144,6 +144,7 @@ fn charts_of(
     let info = |f: FaceId| &constructed.info[labels.disk[f.index()] as usize];
     let shape = |f: FaceId| rest_shape(atlas, &constructed.layout, labels, f, info(f), constructed.target);
     let total: f64 = own().flat_map(|p| &p.faces).filter_map(|f| shape(*f)).map(area).sum();
+    out.rest_area = total;
     let count = own().map(|p| p.faces.len()).sum::<usize>().max(1);
     let mean = total / count as f64;
     for (piece, number) in own().zip(0..) {
