@@ -259,7 +259,8 @@ mod tests {
         above.iter_mut().zip(&weights).filter(|(_, w)| **w > 0.0).for_each(|(a, w)| *a /= w);
         let known_above: Vec<bool> = weights.iter().map(|w| *w > 0.0).collect();
         let above = by_the_book(&above, &known_above, w1, h1);
-        let beside = |i: usize, size: usize| (if i % 2 == 0 { (i / 2).max(1) - 1 } else { i / 2 + 1 }).min(size - 1);
+        let beside =
+            |i: usize, size: usize| (if i.is_multiple_of(2) { (i / 2).max(1) - 1 } else { i / 2 + 1 }).min(size - 1);
         let at = |i: usize| {
             let (x, y) = (i % w, i / w);
             let (xs, ys) = ([x / 2, beside(x, w1)], [y / 2, beside(y, h1)]);
