@@ -3,7 +3,7 @@
 
     tests/memory.py [--program PROGRAM] [--made] [RECIPE=MODEL ...]
 
-Each MODEL (.glb, .gltf, .obj, .zip, or a folder that is searched for them) is refined by RECIPE (`box_cutter` with a boundary of 1.3), with
+Each MODEL (.glb, .gltf, .obj, .zip, or a folder that is searched for them) is refined by RECIPE (`box_cutter` with a boundary of 1.3, `unwrap` fast), with
 everything that the service makes of a job, and the peak of the process' resident memory is printed beside the estimate that
 `inspect --memory` gives. `--made` adds models with textures of up to 16,000 x 16,000 texels, made here. The exit code is 1 where an estimate is
 below the peak, or above one and a half times the peak (and 32 MB, where the peak is below 100 MB).
@@ -21,7 +21,10 @@ import tempfile
 import zlib
 from pathlib import Path
 
-SETTINGS = {"box_cutter": ["--set", "box_cutter.max_boundary_length=1.3"]}
+SETTINGS = {
+    "box_cutter": ["--set", "box_cutter.max_boundary_length=1.3"],
+    "unwrap": ["--set", "optcuts.quality=fast"],
+}
 MODELS = {".glb", ".gltf", ".obj", ".zip"}
 
 
@@ -113,6 +116,7 @@ def made(program, folder):
         path = folder / f"{name}.glb"
         subprocess.run([program, "sample", name, "-o", str(path)], check=True, stderr=subprocess.DEVNULL)
         found += [("pack", path)] + [("scan", path)] * name.startswith("scan")
+        found += [("unwrap", path)] * (name in ("bare", "textured"))
     textures = {
         "plain_16000_x4": lambda: [png(16000, 16000, 3, 8, smooth(16000, 3))] * 4,
         "plain_16000_rgba": lambda: [png(16000, 16000, 4, 8, smooth(16000, 4))],
@@ -128,6 +132,9 @@ def made(program, folder):
     found.append(("pack", model(folder, "many_charts", [png(1024, 1024, 3, 8, noise(3072))], charts=80)))
     found.append(("pack", model(folder, "many_triangles", [png(1024, 1024, 3, 8, noise(3072))], side=80)))
     found.append(("scan", model(folder, "many_triangles_scan", [png(1024, 1024, 3, 8, noise(3072))], side=60)))
+    # Few charts, and textures that stay as they are or are drawn anew.
+    textured = model(folder, "curved", [png(4096, 4096, 3, 8, smooth(4096, 3))], charts=2, side=50)
+    found += [("unwrap", textured), ("polish", textured)]
     return found
 
 

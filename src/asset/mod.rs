@@ -48,7 +48,7 @@ pub use accessor_layout::{AccessorLayout, kind_name};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
 pub(crate) use archive::{MAX_ENTRIES, check_entries};
 pub use document::{Document, File, Merging};
-pub use estimate::{Estimate, estimate};
+pub use estimate::{Demand, Estimate, estimate};
 pub use gltf::json::accessor::{ComponentType, Type as Kind};
 pub use limits::Limits;
 pub use load::{load, load_while, side_file};

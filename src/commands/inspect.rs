@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use intarsia::asset::{File, estimate};
+use intarsia::asset::{Demand, File, estimate};
 use intarsia::config::Inspect;
 use intarsia::context::Context;
 use intarsia::error::{Code, Failure, Result};
@@ -27,7 +27,10 @@ pub fn run(arguments: &Inspect) -> Result<()> {
     let input = super::read_input(&arguments.input, &options)?;
     let pool = intarsia::jobs::slots::pool(arguments.threads)?;
     if arguments.memory {
-        return super::print(&format!("{}\n", memory(arguments, &input, pool.current_num_threads())?));
+        return super::print(&format!(
+            "{}\n",
+            memory(arguments, &input, options.demand(), pool.current_num_threads())?
+        ));
     }
     let context = Context::new(Arc::new(Teller::Quiet), Arc::new(AtomicBool::new(false)), options.seed);
     let (report, failures) = pool.install(|| inspect_and_judge(&input, &options, &context))?;
@@ -38,7 +41,7 @@ pub fn run(arguments: &Inspect) -> Result<()> {
 }
 
 /// The estimate for all models together, each with its files where they lie.
-fn memory(arguments: &Inspect, input: &Input, threads: usize) -> Result<u64> {
+fn memory(arguments: &Inspect, input: &Input, demand: Demand, threads: usize) -> Result<u64> {
     let folders: Vec<&Path> = arguments.input.iter().map(|p| p.parent().unwrap_or(Path::new(""))).collect();
     let mut sum = 0u64;
     for files in &input.models {
@@ -46,7 +49,7 @@ fn memory(arguments: &Inspect, input: &Input, threads: usize) -> Result<u64> {
         let files: Vec<(&str, PathBuf)> = files.iter().map(|file| (file.path.as_str(), place(file))).collect();
         let files: Vec<(&str, &Path)> = files.iter().map(|(name, path)| (*name, path.as_path())).collect();
         let Some((model, files)) = files.split_first() else { continue };
-        sum = sum.saturating_add(estimate(*model, files, &input.limits, threads)?.bytes);
+        sum = sum.saturating_add(estimate(*model, files, &input.limits, threads, demand)?.bytes);
     }
     Ok(sum)
 }

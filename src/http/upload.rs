@@ -19,7 +19,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::preflight;
 use super::problem::{HandlerResult, Problem};
-use crate::asset::estimate;
+use crate::asset::{Demand, estimate};
 use crate::error::{Code, Failure};
 use crate::jobs::files::{Manifest, UploadedFile, disk};
 use crate::jobs::queue::NewJob;
@@ -89,7 +89,7 @@ pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<(Job, 
     }
     let options = parse::options(&options).map_err(Problem::options)?;
     incoming.check().await?;
-    let memory = incoming.memory().await?;
+    let memory = incoming.memory(options.demand()).await?;
     let options = serde_json::to_value(&options).map_err(|e| Failure::internal(e.to_string()))?;
     let key = key.map(|key| (key, incoming.fingerprint(&options)));
     let (jobs, id, inputs) = (app.jobs.clone(), incoming.id.clone(), incoming.take());
@@ -363,8 +363,8 @@ impl<'a> IncomingUpload<'a> {
         Ok(())
     }
 
-    /// Bytes that the job is expected to need, by the headers of its files.
-    async fn memory(&self) -> HandlerResult<u64> {
+    /// Bytes that the job is expected to need, by the headers of its files and what its recipe does.
+    async fn memory(&self, demand: Demand) -> HandlerResult<u64> {
         let (folder, manifest, limits) =
             (self.folder.clone(), self.manifest.clone(), crate::asset::Limits::from(&self.app.jobs.limits));
         let threads = self.app.jobs.slots.threads();
@@ -374,7 +374,7 @@ impl<'a> IncomingUpload<'a> {
             let files: Vec<(&str, &Path)> = files.iter().map(|(name, path)| (*name, path.as_path())).collect();
             let mut models = manifest.models.iter();
             models.try_fold(0u64, |sum, model| -> Result<u64, Failure> {
-                Ok(sum.saturating_add(estimate((&model.path, &at(model)), &files, &limits, threads)?.bytes))
+                Ok(sum.saturating_add(estimate((&model.path, &at(model)), &files, &limits, threads, demand)?.bytes))
             })
         });
         let bytes = estimated.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))??;

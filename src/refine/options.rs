@@ -14,7 +14,7 @@ pub use super::importance::ImportanceSource;
 pub use super::recipe::Recipe;
 use super::recipe::{PRESETS, PresetStage, Step, preset};
 use super::table::{self, StageSections};
-use crate::asset::{ReadOptions, Tiling, UvSet};
+use crate::asset::{Demand, ReadOptions, Tiling, UvSet};
 use crate::atlas::OverlapMode;
 use crate::metrics::{self, Requirement};
 use crate::packing::Pack;
@@ -83,6 +83,14 @@ impl Options {
                 None => vec![own(name).unwrap_or_else(ErasedStage::of::<Pack>).into()],
             },
         }
+    }
+}
+
+impl Options {
+    /// What the recipe does, as far as memory is concerned.
+    pub fn demand(&self) -> Demand {
+        let unwraps = self.steps().iter().any(|step| !step.stage.needs_layout());
+        Demand { bakes: self.atlas.uv_set != UvSet::New, unwraps }
     }
 }
 

@@ -14,56 +14,128 @@ use crate::error::Result;
 /// Rows of one parallel task.
 const ROWS: usize = 32;
 
-/// One level of the pyramid: means, and how well they are known in 0..=1.
+/// A texel of the pyramid: its mean, and how well that is known in 0..=1.
+type Mean<const C: usize> = ([f32; C], f32);
+
+/// One level of the pyramid, of those above the first.
 struct Level<const C: usize> {
     width: usize,
     height: usize,
-    texels: Vec<([f32; C], f32)>,
+    texels: Vec<Mean<C>>,
 }
 
 impl<const C: usize> Level<C> {
     /// Pulls up the next level, half as large. `below` gives a texel of the level below: its weighted value, its weight.
-    fn pull(width: usize, height: usize, below: impl Fn(usize) -> ([f32; C], f32) + Sync) -> Self {
+    fn pull(width: usize, height: usize, below: impl Fn(usize, usize) -> Mean<C> + Sync) -> Self {
         let (w, h) = (width.div_ceil(2), height.div_ceil(2));
         let mut texels = vec![([0.0; C], 0.0); w * h];
         texels.par_chunks_mut(w).with_min_len(ROWS).enumerate().for_each(|(y, row)| {
-            let pair = |at: usize, both: bool| if both { sum(below(at), below(at + 1)) } else { below(at) };
             for (x, out) in row.iter_mut().enumerate() {
-                let (at, both) = (2 * y * width + 2 * x, 2 * x + 1 < width);
-                let mut all = pair(at, both);
-                if 2 * y + 1 < height {
-                    all = sum(all, pair(at + width, both));
-                }
-                let (value, weight) = all;
-                if weight > 0.0 {
-                    *out = (value.map(|v| v / weight), weight.min(1.0));
-                }
+                *out = mean([width, height], x, y, &below);
             }
         });
         Level { width: w, height: h, texels }
     }
 
+    fn row(&self, y: usize) -> &[Mean<C>] {
+        &self.texels[y * self.width..(y + 1) * self.width]
+    }
+
     /// What this level pushes down to a texel of the level below: its bilinear value there.
     #[inline]
     fn push(&self, x: usize, y: usize) -> [f32; C] {
-        // The near texel has 3/4 of the weight, the one on the other side of the half 1/4.
-        let other = |i: usize, size: usize| {
-            if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) }
-        };
-        let (x0, y0) = (x / 2, y / 2);
-        let (x1, y1) = (other(x, self.width), other(y, self.height));
-        let mut out = [0.0; C];
-        for (sx, sy, weight) in [(x0, y0, 0.5625), (x1, y0, 0.1875), (x0, y1, 0.1875), (x1, y1, 0.0625)] {
-            let value = &self.texels[sy * self.width + sx].0;
-            out.iter_mut().zip(value).for_each(|(o, v)| *o += weight * v);
-        }
-        out
+        push(self.row(y / 2), self.row(other(y, self.height)), x)
+    }
+}
+
+/// The mean of the up to four texels under a texel of the next level; `size` is that of the level below.
+#[inline]
+fn mean<const C: usize>(
+    [width, height]: [usize; 2],
+    x: usize,
+    y: usize,
+    below: impl Fn(usize, usize) -> Mean<C>,
+) -> Mean<C> {
+    let both = 2 * x + 1 < width;
+    let pair = |y: usize| if both { sum(below(2 * x, y), below(2 * x + 1, y)) } else { below(2 * x, y) };
+    let mut all = pair(2 * y);
+    if 2 * y + 1 < height {
+        all = sum(all, pair(2 * y + 1));
+    }
+    let (value, weight) = all;
+    if weight > 0.0 { (value.map(|v| v / weight), weight.min(1.0)) } else { ([0.0; C], 0.0) }
+}
+
+/// Beside the texel above place `i` of the level below, which has 3/4 of the weight: the one on the other side of the half, which has 1/4.
+#[inline]
+fn other(i: usize, size: usize) -> usize {
+    if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) }
+}
+
+/// The bilinear value at place `x` of a row of the level below, of the nearer and the farther row of the level above.
+#[inline]
+fn push<const C: usize>(near: &[Mean<C>], far: &[Mean<C>], x: usize) -> [f32; C] {
+    let (x0, x1) = (x / 2, other(x, near.len()));
+    let mut out = [0.0; C];
+    for ((value, _), weight) in [(&near[x0], 0.5625), (&near[x1], 0.1875), (&far[x0], 0.1875), (&far[x1], 0.0625)] {
+        out.iter_mut().zip(value).for_each(|(o, v)| *o += weight * v);
+    }
+    out
+}
+
+/// What a texel becomes whose place has the value `pushed` on the level above.
+#[inline]
+fn fill<const C: usize>((value, weight): &mut Mean<C>, pushed: impl FnOnce() -> [f32; C]) {
+    if *weight < 1.0 {
+        value.iter_mut().zip(pushed()).for_each(|(v, p)| *v = *weight * *v + (1.0 - *weight) * p);
     }
 }
 
 #[inline]
-fn sum<const C: usize>(a: ([f32; C], f32), b: ([f32; C], f32)) -> ([f32; C], f32) {
+fn sum<const C: usize>(a: Mean<C>, b: Mean<C>) -> Mean<C> {
     (std::array::from_fn(|c| a.0[c] + b.0[c]), a.1 + b.1)
+}
+
+/// Some rows of the image. The first level of the pyramid is made of them where it is read, and nowhere kept: a quarter of the texels, in
+/// floats, it would take more room than the image.
+#[derive(Clone, Copy)]
+struct Rows<'a, T, const C: usize> {
+    texels: &'a [T],
+    known: &'a [u8],
+    width: usize,
+    transfer: &'a Transfer<T>,
+}
+
+impl<T: Depth, const C: usize> Rows<'_, T, C> {
+    fn size(&self) -> [usize; 2] {
+        [self.width, self.known.len() / self.width]
+    }
+
+    /// A texel of the first level.
+    #[inline]
+    fn first(&self, x: usize, y: usize) -> Mean<C> {
+        mean(self.size(), x, y, |x, y| {
+            let i = y * self.width + x;
+            match self.known[i] {
+                0 => ([0.0; C], 0.0),
+                _ => (self.transfer.decode::<C>(&self.texels[i * C..(i + 1) * C]), 1.0),
+            }
+        })
+    }
+
+    /// A row of the first level, filled from the level `above`, where it is row `y`.
+    fn filled(&self, own: usize, above: Option<&Level<C>>, y: usize) -> Vec<Mean<C>> {
+        let row = (0..self.width.div_ceil(2)).map(|x| {
+            let mut texel = self.first(x, own);
+            match above {
+                Some(above) => fill(&mut texel, || above.push(x, y)),
+                None if texel.1 == 0.0 => texel.0 = neutral(self.transfer.space),
+                None => {}
+            }
+            texel
+        });
+        row.collect()
+    }
 }
 
 /// Fills the texels of a `width`-wide image for which `known` is 0. An image without a known texel becomes black (opaque), or flat.
@@ -74,50 +146,66 @@ pub(crate) fn push_pull<T: Depth, const C: usize>(
     transfer: &Transfer<T>,
     context: &Context,
 ) -> Result<()> {
-    let height = known.len().checked_div(width).unwrap_or(0);
     if !known.contains(&0) {
         return Ok(());
     }
     context.check()?;
-    let pixels = &*texels;
-    let mut pyramid = vec![Level::<C>::pull(width, height, |i| match known[i] {
-        0 => ([0.0; C], 0.0),
-        _ => (transfer.decode::<C>(&pixels[i * C..(i + 1) * C]), 1.0),
-    })];
+    let image = Rows::<T, C> { texels, known, width, transfer };
+    let [w, h] = image.size().map(|side| side.div_ceil(2));
+    let mut pyramid: Vec<Level<C>> = Vec::new();
+    let weighted = |(value, weight): Mean<C>| (value.map(|v| weight * v), weight);
+    if w > 1 || h > 1 {
+        pyramid.push(Level::pull(w, h, |x, y| weighted(image.first(x, y))));
+    }
     while let Some(level) = pyramid.last().filter(|l| l.width > 1 || l.height > 1) {
         context.check()?;
-        pyramid.push(Level::pull(level.width, level.height, |i| {
-            let (value, weight) = level.texels[i];
-            (value.map(|v| weight * v), weight)
-        }));
+        pyramid.push(Level::pull(level.width, level.height, |x, y| weighted(level.row(y)[x])));
     }
     if let Some((value, weight)) = pyramid.last_mut().and_then(|top| top.texels.first_mut())
         && *weight == 0.0
     {
         *value = neutral(transfer.space);
     }
-    // Down to the level above the image, then the image itself.
+    // Down to the second level, then the first and the image together.
     for l in (0..pyramid.len().saturating_sub(1)).rev() {
         context.check()?;
         let (lower, upper) = pyramid.split_at_mut(l + 1);
         let (Some(level), Some(above)) = (lower.last_mut(), upper.first()) else { continue };
         let w = level.width;
         level.texels.par_chunks_mut(w).with_min_len(ROWS).enumerate().for_each(|(y, row)| {
-            for (x, (value, weight)) in row.iter_mut().enumerate() {
-                if *weight < 1.0 {
-                    let pushed = above.push(x, y);
-                    value.iter_mut().zip(pushed).for_each(|(v, p)| *v = *weight * *v + (1.0 - *weight) * p);
-                }
-            }
+            row.iter_mut().enumerate().for_each(|(x, texel)| fill(texel, || above.push(x, y)));
         });
     }
     context.check()?;
-    let Some(first) = pyramid.first() else { return Ok(()) };
-    let rows = texels.par_chunks_mut(width * C).zip(known.par_chunks(width)).with_min_len(ROWS).enumerate();
-    rows.for_each(|(y, (row, known))| {
-        for (x, (texel, known)) in row.chunks_exact_mut(C).zip(known).enumerate() {
-            if *known == 0 {
-                transfer.encode::<C>(first.push(x, y), texel);
+    // Tasks read the first level's rows at each other's ends: these are made before any task writes.
+    let above = pyramid.first();
+    let rows = |texels: &[T], known: &[u8], own: usize, y: usize| {
+        Rows::<T, C> { texels, known, width, transfer }.filled(own, above, y)
+    };
+    let tasks = known.par_chunks(2 * ROWS * width).enumerate();
+    let ends: Vec<[Vec<Mean<C>>; 2]> = tasks
+        .map(|(task, own)| {
+            let first = task * ROWS;
+            let last = first + (own.len() / width).div_ceil(2) - 1;
+            [first, last].map(|y| image.filled(y, above, y))
+        })
+        .collect();
+    let tasks = texels.par_chunks_mut(2 * ROWS * width * C).zip(known.par_chunks(2 * ROWS * width)).enumerate();
+    tasks.for_each(|(task, (texels, known))| {
+        let (first, count) = (task * ROWS, (known.len() / width).div_ceil(2));
+        let before = task.checked_sub(1).map(|t| ends[t][1].clone());
+        let behind = ends.get(task + 1).map(|ends| ends[0].clone());
+        let own = (0..count).map(|y| rows(texels, known, y, first + y));
+        let level: Vec<Vec<Mean<C>>> = before.into_iter().chain(own).chain(behind).collect();
+        // The row of `level` that is the first of this task.
+        let offset = usize::from(task > 0);
+        let pairs = texels.chunks_exact_mut(width * C).zip(known.chunks_exact(width)).enumerate();
+        for (y, (row, known)) in pairs {
+            let (near, far) = (y / 2 + offset, other(y + 2 * offset, level.len()));
+            for (x, (texel, known)) in row.chunks_exact_mut(C).zip(known).enumerate() {
+                if *known == 0 {
+                    transfer.encode::<C>(push(&level[near], &level[far], x), texel);
+                }
             }
         }
     });
@@ -152,6 +240,49 @@ mod tests {
             let value = [200, 3, 90, 128];
             let out = filled(w, h, value, |i| i == w * h / 2 || i % 37 == 5);
             assert!(out.chunks_exact(4).all(|t| t == value), "{w} x {h}");
+        }
+    }
+
+    /// The same with all levels at hand, texel by texel.
+    fn by_the_book(texels: &[f32], known: &[bool], w: usize, h: usize) -> Vec<f32> {
+        if w == 1 && h == 1 {
+            return texels.to_vec();
+        }
+        let (w1, h1) = (w.div_ceil(2), h.div_ceil(2));
+        let (mut above, mut weights) = (vec![0.0; w1 * h1], vec![0.0f32; w1 * h1]);
+        let weight_of = |i: usize| f32::from(u8::from(known[i]));
+        for (i, texel) in texels.iter().enumerate().filter(|(i, _)| known[*i]) {
+            let up = i / w / 2 * w1 + i % w / 2;
+            above[up] += texel;
+            weights[up] += weight_of(i);
+        }
+        above.iter_mut().zip(&weights).filter(|(_, w)| **w > 0.0).for_each(|(a, w)| *a /= w);
+        let known_above: Vec<bool> = weights.iter().map(|w| *w > 0.0).collect();
+        let above = by_the_book(&above, &known_above, w1, h1);
+        let beside =
+            |i: usize, size: usize| (if i.is_multiple_of(2) { (i / 2).max(1) - 1 } else { i / 2 + 1 }).min(size - 1);
+        let at = |i: usize| {
+            let (x, y) = (i % w, i / w);
+            let (xs, ys) = ([x / 2, beside(x, w1)], [y / 2, beside(y, h1)]);
+            let value = |x: usize, y: usize| above[ys[y] * w1 + xs[x]];
+            0.5625 * value(0, 0) + 0.1875 * (value(1, 0) + value(0, 1)) + 0.0625 * value(1, 1)
+        };
+        (0..w * h).map(|i| if known[i] { texels[i] } else { at(i) }).collect()
+    }
+
+    #[test]
+    fn rows_of_any_task_are_what_all_levels_give() {
+        for (w, h) in [(1, 1), (2, 1), (3, 2), (5, 64), (7, 65), (40, 129), (9, 193), (1, 300)] {
+            let known: Vec<u8> = (0..w * h).map(|i| u8::from(i * 7919 % 5 == 0)).collect();
+            let mut texels: Vec<u16> = (0..w * h).map(|i| (i * 40_503 % 65_536) as u16).collect();
+            let floats: Vec<f32> = texels.iter().map(|t| f32::from(*t)).collect();
+            let known_texels: Vec<bool> = known.iter().map(|k| *k == 1).collect();
+            let expected = by_the_book(&floats, &known_texels, w, h);
+            let transfer = Transfer::<u16>::new(Space::Linear);
+            push_pull::<u16, 1>(&mut texels, &known, w, &transfer, &Context::silent()).unwrap();
+            for (i, (texel, expected)) in texels.iter().zip(expected).enumerate() {
+                assert!((f32::from(*texel) - expected).abs() <= 1.0, "{i} of {w} x {h}: {texel}, not {expected}");
+            }
         }
     }
 

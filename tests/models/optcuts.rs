@@ -1,10 +1,14 @@
 //! `--recipe unwrap` and `polish`: surfaces as they come get a layout that others can read, and keep everything else.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use intarsia::asset::sample::sample;
-use intarsia::asset::{Document, File, Limits, load};
+use intarsia::asset::{
+    ARRAY_BUFFER, Document, File, Limits, RawAccessor, load, read_indices, read_vec2, read_vec3, read_vec4,
+};
 use intarsia::context::Context;
 use intarsia::refine::optcuts::params::{OptCuts, Quality};
-use intarsia::refine::options::Options;
+use intarsia::refine::options::{ImportanceSource, Options};
 use intarsia::refine::{Input, Outcome, refine};
 use serde_json::Value;
 
@@ -149,5 +153,71 @@ fn textured_models_get_a_layout_beside_their_own() {
                 "{name}: {atlas}"
             );
         }
+    }
+}
+
+/// Length of the seams of the first primitive between painted vertices.
+fn painted_seams(glb: &[u8]) -> f64 {
+    let file = File { path: "unwrapped.glb".to_owned(), bytes: glb.to_vec() };
+    let (doc, _) = load(&[file], None, &Limits::default()).expect("the model loads");
+    let primitive = &doc.json["meshes"][0]["primitives"][0];
+    let index = |value: &Value| value.as_u64().expect("an index") as usize;
+    let attribute = |name: &str| index(&primitive["attributes"][name]);
+    let positions = read_vec3(&doc, attribute("POSITION")).expect("positions");
+    let uvs = read_vec2(&doc, attribute("TEXCOORD_0")).expect("UVs");
+    let colours = read_vec4(&doc, attribute("COLOR_0")).expect("colours");
+    let indices = read_indices(&doc, index(&primitive["indices"])).expect("indices");
+    // By edge, with its ends in order: the UVs of its ends in each of its faces.
+    let mut edges: BTreeMap<[[u32; 3]; 2], Vec<[[u32; 2]; 2]>> = BTreeMap::new();
+    let mut length = BTreeMap::new();
+    for (face, k) in indices.chunks_exact(3).flat_map(|face| [0, 1, 2].map(|k| (face, k))) {
+        let mut ends = [face[k], face[(k + 1) % 3]].map(|v| v as usize);
+        ends.sort_by_key(|v| positions[*v].map(f32::to_bits));
+        let edge = ends.map(|v| positions[v].map(f32::to_bits));
+        edges.entry(edge).or_default().push(ends.map(|v| uvs[v].map(f32::to_bits)));
+        if ends.iter().all(|v| colours[*v][0] > 0.5) {
+            let [a, b] = ends.map(|v| glam::Vec3::from(positions[v]));
+            length.insert(edge, f64::from(a.distance(b)));
+        }
+    }
+    let is_seam = |faces: &[[[u32; 2]; 2]]| faces.windows(2).any(|pair| pair[0] != pair[1]);
+    length.iter().filter(|(edge, _)| is_seam(&edges[*edge])).map(|(_, length)| length).sum()
+}
+
+/// A face that is painted keeps its seams elsewhere.
+#[test]
+fn seams_stay_out_of_a_painted_face() {
+    for (_, files) in data::models(&["meshes/salience/face_f10000.obj"]) {
+        let list = data::folder().expect("the folder").join("meshes/salience/face_f10000_selected.txt");
+        let list = std::fs::read_to_string(list).expect("its list");
+        let selected: Vec<usize> = list.split_whitespace().map(|n| n.parse().expect("a number")).collect();
+        let text = String::from_utf8(files[0].bytes.clone()).expect("an OBJ text");
+        let place = |line: &str| -> Option<[u32; 3]> {
+            let mut words = line.strip_prefix("v ")?.split_whitespace();
+            Some([(); 3].map(|()| words.next().and_then(|w| w.parse::<f32>().ok()).expect("a number").to_bits()))
+        };
+        let places: Vec<[u32; 3]> = text.lines().filter_map(place).collect();
+        let painted: BTreeSet<[u32; 3]> = selected.iter().map(|v| places[*v]).collect();
+        let (mut doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
+        let primitive = &doc.json["meshes"][0]["primitives"][0];
+        let positions = primitive["attributes"]["POSITION"].as_u64().expect("an index") as usize;
+        let positions = read_vec3(&doc, positions).expect("positions");
+        let red = |p: &[f32; 3]| if painted.contains(&p.map(f32::to_bits)) { 1.0 } else { 0.01 };
+        let colours: Vec<[f32; 4]> = positions.iter().map(|p| [red(p), 0.0, 0.0, 1.0]).collect();
+        let colours = doc.append_accessor(&RawAccessor::from_floats(&colours), Some(ARRAY_BUFFER), false);
+        doc.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = colours.into();
+        let glb = doc.to_glb().expect("a GLB");
+        let inside = |importance: Option<ImportanceSource>| {
+            let mut options = Options::preset("unwrap");
+            options.importance = importance;
+            options.stages.set(OptCuts { quality: Quality::Fast, ..options.stages.get() });
+            let files = vec![File { path: "face.glb".to_owned(), bytes: glb.clone() }];
+            let input = Input { models: vec![files], ..Input::default() };
+            let outcome = refine(&input, &options, &Context::silent()).expect("it is unwrapped");
+            assert_eq!(outcome.report["stages"][0]["bound_met"], true);
+            painted_seams(&outcome.artifacts.iter().find(|a| a.role == "model").expect("a model").bytes)
+        };
+        let (free, kept) = (inside(None), inside(Some(ImportanceSource::Attribute("COLOR_0.r".to_owned()))));
+        assert!(free > 0.0 && kept <= 0.2 * free, "{kept} of {free}");
     }
 }

@@ -28,14 +28,29 @@ pub struct Estimate {
     pub triangles: u64,
 }
 
+/// What a recipe does, as far as memory is concerned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Demand {
+    /// Whether the images that are read through the refined layout are drawn anew.
+    pub bakes: bool,
+    /// Whether surfaces are cut and flattened, those without a layout too.
+    pub unwraps: bool,
+}
+
 /// Estimates what a refinement of `model` (its name, and where it is on the disk), with the `files` that it may name, will hold in
-/// memory at its peak when `threads` compute. Files are only looked at: what is held of them is some heads, the part of a glTF JSON that tells
+/// memory at its peak when `threads` compute and the recipe does what `demand` says. Files are only looked at: what is held of them is some heads, the part of a glTF JSON that tells
 /// sizes (at most a few times `max_json_bytes` for the worst), and up to some 100 MB of texture coordinates. Declared sizes are clamped to
 /// `limits`, beyond which a job fails; what cannot be read counts by its length, and the job itself will tell why.
 ///
 /// # Errors
 /// `too_large` when archives unpack to more than `max_input_bytes`, and for images and triangles beyond `limits`.
-pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits, threads: usize) -> Result<Estimate> {
+pub fn estimate(
+    model: (&str, &Path),
+    files: &[(&str, &Path)],
+    limits: &Limits,
+    threads: usize,
+    demand: Demand,
+) -> Result<Estimate> {
     let mut sum = Sum::default();
     let mut all = Files::new(std::iter::once(model).chain(files.iter().copied()), limits)?;
     sum.files += all.packed;
@@ -60,5 +75,5 @@ pub fn estimate(model: (&str, &Path), files: &[(&str, &Path)], limits: &Limits, 
         }
     }
     sum.check(limits)?;
-    Ok(sum.estimate(limits, threads))
+    Ok(sum.estimate(limits, threads, demand))
 }

@@ -7,7 +7,7 @@
 use std::num::Saturating;
 
 use super::super::limits::Limits;
-use super::Estimate;
+use super::{Demand, Estimate};
 use crate::error::{Code, Failure, Result};
 use crate::texture::{Format, Header};
 
@@ -19,11 +19,20 @@ const PICTURES: f64 = 60e6;
 const TRIANGLE: f64 = 1000.0;
 /// Of a triangle without.
 const BARE_TRIANGLE: f64 = 400.0;
+/// Bytes of the pyramid that fills a page, for each texel of the page and each channel and its weight.
+const PYRAMID: f64 = 0.4;
+/// Of a triangle that is cut and flattened: the piece that it is in, its elements and factors, the void about it, the best map so far.
+const UNWRAPPED: f64 = 2600.0;
+/// What cutting takes whatever the size.
+const CUTTING: f64 = 30e6;
 /// Texels that a thread bakes at a time, and what it holds of each: owner, distance, and what fits it to the uploaded image.
 const BAND: (u64, f64) = (1 << 18, 40.0);
 /// Texels of the refined pages, of those of the upload: at most so many; where the area of the charts is known, that area times the second
 /// number and the third.
 const PAGE: (f64, f64, f64) = (0.95, 2.1, 0.12);
+
+/// The same at most, where charts are made.
+const MOST_UNWRAPPED: f64 = 2.0;
 
 /// What the files of a model declare.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -79,7 +88,7 @@ impl Sum {
     }
 
     /// What that comes to, with so many threads.
-    pub(super) fn estimate(&self, limits: &Limits, threads: usize) -> Estimate {
+    pub(super) fn estimate(&self, limits: &Limits, threads: usize, demand: Demand) -> Estimate {
         let triangles = self.triangles.0.min(limits.max_triangles);
         // Three vertices of its own are the most that a triangle has.
         let surface = triangles.max(self.vertices.0.min(limits.max_input_bytes) / 3) as f64;
@@ -88,16 +97,25 @@ impl Sum {
         let (buffers, encoded) = (self.buffers.0.min(most) as f64, self.encoded.0.min(most) as f64);
         // Files are held as they came, and what the document gathers of them.
         let held = PROCESS + self.files.0 as f64 + buffers + encoded;
-        // Charts without any area are left as they are.
-        let is_refined = self.has_layout && (self.is_unmeasured || self.covered > 0.0);
-        let bytes = if is_refined {
+        // Charts without any area are left as they are, but by what lays them out itself.
+        let has_layout = self.has_layout && (self.is_unmeasured || self.covered > 0.0);
+        let bytes = if has_layout || demand.unwraps {
             let held = held + TRIANGLE * surface;
-            let baking = self.images.iter().map(|(header, _)| self.baking(*header, threads)).fold(0.0, f64::max);
-            let page = self.page();
-            let written: f64 = self.images.iter().map(|(header, length)| written(*header, *length, page)).sum();
+            let bakes = demand.bakes && self.has_layout;
+            let images = || self.images.iter().filter(|_| bakes);
+            let page = self.page(demand);
+            let baking = images().map(|(header, _)| self.baking(*header, page, threads)).fold(0.0, f64::max);
+            // An image is decoded while surfaces are unwrapped.
+            let decoded = images().map(|(header, _)| samples(*header)).fold(0.0, f64::max);
+            let unwrapping = if demand.unwraps { CUTTING + UNWRAPPED * surface + decoded } else { 0.0 };
+            let written: f64 = match bakes {
+                true => images().map(|(header, length)| written(*header, *length, page)).sum(),
+                false => encoded,
+            };
             // One slot at a time is baked, and its files are held until all are. Then they are in the document, in the GLB and beside it, while
             // pictures are drawn; at the end they are in the archive twice more.
-            let phases = [baking + written, PICTURES + buffers + 4.0 * written, 2.0 * buffers + 6.0 * written];
+            let phases =
+                [unwrapping, baking + written, PICTURES + buffers + 4.0 * written, 2.0 * buffers + 6.0 * written];
             held + phases.into_iter().fold(0.0, f64::max)
         } else {
             held + 2.0 * buffers + BARE_TRIANGLE * surface
@@ -106,19 +124,21 @@ impl Sum {
     }
 
     /// Texels of a refined page, of those of the upload.
-    fn page(&self) -> f64 {
+    fn page(&self, demand: Demand) -> f64 {
         let (most, factor, least) = PAGE;
+        // Charts that shared texels have some of their own in a new layout, whatever room that takes.
+        let most = if demand.unwraps { MOST_UNWRAPPED } else { most };
         if self.is_unmeasured { most } else { (factor * self.covered + least).min(most) }
     }
 
-    /// What baking one image takes: the image, its page with a byte of state for each texel, the pyramid that fills the page (a third as many
-    /// texels, of floats and a weight), and the bands of the threads.
-    fn baking(&self, header: Header, threads: usize) -> f64 {
+    /// What baking one image takes: the image, its page with a byte of state for each texel, the pyramid that fills the page (a twelfth as many
+    /// texels, of floats and a weight, and some rows), and the bands of the threads.
+    fn baking(&self, header: Header, page: f64, threads: usize) -> f64 {
         let (count, channels) = (texels(header), f64::from(header.channels));
-        let page = self.page() * count as f64;
+        let page = page * count as f64;
         let bands = (count / BAND.0).clamp(1, threads.max(1) as u64) * BAND.0;
         let band = BAND.1 * bands.min(count) as f64;
-        samples(header) + page * (texel_bytes(header) + 1.0 + 4.0 * (channels + 1.0) / 3.0) + band
+        samples(header) + page * (texel_bytes(header) + 1.0 + PYRAMID * (channels + 1.0)) + band
     }
 }
 

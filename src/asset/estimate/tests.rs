@@ -11,6 +11,9 @@ use super::super::{File, glb, load, sample};
 use super::*;
 use crate::texture::decode;
 
+/// What `pack` does.
+const PACKS: Demand = Demand { bakes: true, unwraps: false };
+
 /// Stores files under numbers, as uploads are, and estimates the first with the others.
 fn of(files: &[(&str, &[u8])], limits: &Limits) -> Result<Estimate> {
     let folder = TempDir::new().unwrap();
@@ -24,7 +27,7 @@ fn of(files: &[(&str, &[u8])], limits: &Limits) -> Result<Estimate> {
         })
         .collect();
     let all: Vec<(&str, &Path)> = stored.iter().map(|(name, path)| (*name, path.as_path())).collect();
-    estimate(all[0], &all[1..], limits, 2)
+    estimate(all[0], &all[1..], limits, 2, PACKS)
 }
 
 fn estimated(files: &[(&str, &[u8])]) -> Estimate {
@@ -199,10 +202,10 @@ fn what_is_allocated_of_a_texel_and_of_its_file_is_in_it() {
         estimated(&files).bytes as f64
     };
     let process = 19e6;
-    // By texel: as decoded, and of nearly as large a page its samples, a state, and a pyramid of floats with a weight a third its size.
+    // By texel: as decoded, and of nearly as large a page its samples, a state, and a pyramid of floats with a weight a twelfth its size.
     for (kind, depth, samples, channels) in [(0, 8, 1.0, 1.0), (2, 8, 3.0, 3.0), (6, 8, 4.0, 4.0), (6, 16, 8.0, 4.0)] {
         let texels = 16_000.0 * 16_000.0;
-        let held = texels * (samples + 0.9 * (samples + 1.0 + 4.0 * (channels + 1.0) / 3.0));
+        let held = texels * (samples + 0.9 * (samples + 1.0 + (channels + 1.0) / 3.0));
         let one = of(&[head(16_000, 16_000, kind, depth)]) - process;
         assert!(one > held && one < 1.15 * held, "{kind} {depth}: {one} of {held}");
         // One slot is baked at a time: four of them take the room of one, and of their files.
@@ -227,6 +230,34 @@ fn the_charts_of_a_document_are_measured_where_they_can_be_read() {
     // Under an extension that gives coordinates another meaning, they may cover everything.
     document.json["extensionsUsed"] = json!(["KHR_texture_transform"]);
     assert!(of(&document) > plain + 10_000_000);
+}
+
+#[test]
+fn what_the_recipe_does_counts() {
+    let mut image = png(4, 4);
+    image[16..24].copy_from_slice(&[0, 0, 0x20, 0, 0, 0, 0x20, 0]);
+    let of = |attributes: Value, demand: Demand| {
+        let parts = json!({
+            "accessors": [{ "count": 300_000 }],
+            "meshes": [{ "primitives": [{ "attributes": attributes }] }],
+        });
+        let model = gltf(&json!([{ "uri": "a.png" }]), parts);
+        let folder = TempDir::new().unwrap();
+        let [at, beside] = ["m.gltf", "a.png"].map(|name| folder.path().join(name));
+        std::fs::write(&at, model).unwrap();
+        std::fs::write(&beside, &image).unwrap();
+        estimate(("m.gltf", &at), &[("a.png", &beside)], &Limits::default(), 2, demand).unwrap().bytes
+    };
+    let (plain, bare) = (json!({ "POSITION": 0, "TEXCOORD_0": 0 }), json!({ "POSITION": 0 }));
+    let demand = |bakes, unwraps| Demand { bakes, unwraps };
+    let texels = 3 * 8192 * 8192;
+    // Cutting and flattening takes some thousand bytes of each triangle, with a layout or without.
+    assert!(of(bare.clone(), demand(false, true)) > of(bare, demand(false, false)) + 3_000 * 100_000);
+    assert!(of(plain.clone(), demand(false, true)) > of(plain.clone(), demand(false, false)) + 2_000 * 100_000);
+    // Images that stay as they are are not decoded.
+    assert!(of(plain.clone(), demand(true, false)) > of(plain.clone(), demand(false, false)) + texels);
+    assert!(of(plain.clone(), demand(false, true)) < 19_000_000 + 4_000 * 100_000 + texels);
+    assert!(of(plain.clone(), demand(true, true)) > of(plain, demand(false, true)) + texels);
 }
 
 #[test]
@@ -264,7 +295,7 @@ fn what_is_cut_short_or_broken_counts_by_its_length() {
         assert_eq!(estimated(&[("m.gltf", bad)]).texels, 0);
     }
     let missing = Path::new("/nowhere/at/all");
-    assert_eq!(estimate(("m.glb", missing), &[], &Limits::default(), 2).unwrap().triangles, 0);
+    assert_eq!(estimate(("m.glb", missing), &[], &Limits::default(), 2, PACKS).unwrap().triangles, 0);
     // As the loader takes it: the last of two keys counts, and what is of the wrong type is passed over.
     let twice = br#"{"images": [], "extra": {"images": 1}, "images": [7, {"uri": 5}, {"uri": "a.png"}]}"#;
     assert_eq!(estimated(&[("m.gltf", twice), ("a.png", &png(8, 8))]).texels, 64);

@@ -47,6 +47,8 @@ const FORBIDDEN: f64 = 1e6;
 const ROUNDING: f64 = 1e-11;
 /// What texture coordinates in 32 bits can tell apart, in units of the extent of their layout.
 const WRITTEN: f64 = 1.0 / (1 << 23) as f64;
+/// Reasons to end that are limits of the user's.
+const LIMITS: [&str; 2] = ["time_limit", "work_budget"];
 /// Part of the stage's progress that the pieces are.
 const SOLVING: f64 = 0.85;
 
@@ -288,7 +290,7 @@ fn uploaded_energy(atlas: &Atlas, faces: &[FaceId]) -> Option<f64> {
     atlas.has_layout().then(|| Strain::of(&atlas.subset(faces)).least_energy())
 }
 
-/// What the report says of the pieces, and why the most of them ended.
+/// What the report says of the pieces, and why they ended: the limit that cut one short, or what holds for the most of them.
 fn sum(outcomes: &[Outcome], params: &OptCuts) -> (Map<String, Value>, &'static str) {
     let total: f64 = outcomes.iter().map(|o| o.area).sum();
     let mean = |of: &dyn Fn(&Outcome) -> f64| outcomes.iter().map(|o| of(o) * (o.area / total)).sum::<f64>();
@@ -296,7 +298,10 @@ fn sum(outcomes: &[Outcome], params: &OptCuts) -> (Map<String, Value>, &'static 
     for o in outcomes {
         *reasons.entry(o.solution.stopped_by).or_default() += o.area;
     }
-    let most = reasons.into_iter().reduce(|a, b| if b.1 > a.1 { b } else { a });
+    // A limit that cut any piece short is what users want to know of.
+    let limited = reasons.keys().any(|reason| LIMITS.contains(reason));
+    let reasons = reasons.into_iter().filter(|(reason, _)| !limited || LIMITS.contains(reason));
+    let most = reasons.reduce(|a, b| if b.1 > a.1 { b } else { a });
     let bound = match params.max_distortion {
         MaxDistortion::AtMost(bound) => bound,
         MaxDistortion::Input => mean(&|o| o.bound),

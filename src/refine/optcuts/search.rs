@@ -25,10 +25,17 @@ pub(super) const SLACK: f64 = 1e-3;
 const RINGS: usize = 6;
 /// Part of the border vertices that are asked for splits, as an exponent (section 5.3).
 pub(super) const BORDER_PART: f64 = 0.8;
+/// The same for the vertices inside, at first.
+const INTERIOR_PART: f64 = 0.6;
 /// Work of opening seams again, in parts of the work before: `balanced` takes so much for one face, and less the more there are.
 const BALANCED: f64 = 3000.0;
 /// The same for `best`, whatever the size.
 const BEST: f64 = 4.0;
+/// What a map that is polished is taken to have cost, in vertices that were moved, for each that there is. A search from scratch takes some 600;
+/// polishing has nothing else to do.
+const FOUND: u64 = 2400;
+/// The same as `BALANCED` for `fast`, which opens seams only where all that there is to do is to polish.
+const FAST_POLISH: f64 = 0.05;
 /// How much estimates are shaken while seams are cut again.
 const NOISE: f64 = 0.5;
 /// Seams that get longer than this while they are cut again are given up.
@@ -289,7 +296,7 @@ impl<'a> Search<'a> {
     /// Cuts, and closes what costs more than it is worth, until the bound holds.
     fn descend(&mut self, most: usize, longest: f64) -> Result<()> {
         let mut tight = false;
-        let mut part = 0.6;
+        let mut part = INTERIOR_PART;
         // The least E_d so far, when it was reached, and how often nothing but a cut to the extremum helped.
         let (mut lowest, mut since, mut stalls) = (self.distortion, self.round, 0);
         // The least value of the Lagrangian with this dual.
@@ -326,8 +333,7 @@ impl<'a> Search<'a> {
                 if seed.is_none() {
                     // Nothing pays: the dual rises until something does.
                     let all: Vec<_> = border.iter().copied().chain(interior).collect();
-                    let worth = all.iter().filter(|o| o.2 < 0.0 && o.1 > 0.0).map(|o| o.1 / -o.2);
-                    match worth.min_by_key(|r| Cost(*r)) {
+                    match cheapest(&all) {
                         Some(worth) => self.lambda = self.lambda.max(worth) * 1.05,
                         None if part < 1.0 => part += 0.1,
                         None => return Ok(()),
@@ -406,17 +412,17 @@ impl<'a> Search<'a> {
         self.propagate(merge, Some(most))
     }
 
-    /// The search; the map must be valid.
+    /// The search; the map must be valid. With `polish` the seams that it has are worth as much as those of a search from scratch.
     ///
     /// # Errors
     /// `canceled`.
-    pub fn run(&mut self, quality: Quality) -> Result<&'static str> {
+    pub fn run(&mut self, quality: Quality, polish: bool) -> Result<&'static str> {
         self.relax(1e-4, 100)?;
         self.visit();
         let trials = match quality {
             Quality::Fast => {
                 self.cut_to_extrema()?;
-                0.0
+                if polish { FAST_POLISH } else { 0.0 }
             }
             Quality::Balanced => (BALANCED / self.map.rest.len() as f64).clamp(0.1, 1.5),
             Quality::Best => BEST,
@@ -428,7 +434,13 @@ impl<'a> Search<'a> {
         if self.distortion > self.bound {
             return Ok(self.stopped_by().unwrap_or("no_improvement"));
         }
-        let most = self.work + (trials * self.work as f64) as u64;
+        if self.lambda == 0.0 {
+            // The bound held from the start, and nothing has told what a cut is worth.
+            let all = [self.operations(false, BORDER_PART), self.operations(true, INTERIOR_PART)].concat();
+            self.lambda = cheapest(&all).unwrap_or(0.0);
+        }
+        let found = if polish { FOUND * self.map.x.len() as u64 } else { 0 };
+        let most = self.work + (trials * self.work.max(found) as f64) as u64;
         self.improve(most)?;
         Ok(self.stopped_by().unwrap_or("done"))
     }
@@ -576,6 +588,12 @@ impl<'a> Search<'a> {
         self.work += self.map.moved() as u64;
         step
     }
+}
+
+/// The least length of seam that an operation takes for what it removes of the distortion.
+fn cheapest(operations: &[(Operation, f64, f64)]) -> Option<f64> {
+    let worth = operations.iter().filter(|o| o.2 < 0.0 && o.1 > 0.0).map(|o| o.1 / -o.2);
+    worth.min_by_key(|r| Cost(*r))
 }
 
 /// A number for an operation.

@@ -95,7 +95,7 @@ pub(super) fn solve(
         };
         stopped_by = match settings.search {
             Order::Paper => search.run_as_published()?,
-            Order::Default => search.run(settings.quality)?,
+            Order::Default => search.run(settings.quality, settings.polish)?,
         };
         iterations += search.rounds();
         work += search.work;

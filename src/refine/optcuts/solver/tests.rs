@@ -127,7 +127,7 @@ fn a_map_is_polished_from_where_it_is_and_keeps_its_bound() {
     let polish = Settings { polish: true, ..settings(first.distortion, Quality::Balanced) };
     let second = solve(first.atlas.clone(), None, &polish, NEVER).expect("it is never cancelled");
     assert_holds(&second, &piece, &polish);
-    assert!(second.seam_length <= first.seam_length);
+    assert!(second.seam_length < first.seam_length, "{} of {}", second.seam_length, first.seam_length);
 }
 
 #[test]
