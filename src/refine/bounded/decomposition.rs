@@ -144,7 +144,7 @@ pub(super) struct Goal {
     pub efficiency: f64,
     /// What is left free beside each rectangle, in texels.
     pub padding: f64,
-    /// What seams cost before.
+    /// What the borders of all charts cost before.
     pub seams: f64,
     /// How rectangles are packed.
     pub request: RectangleRequest,
@@ -175,7 +175,7 @@ struct Judgement {
 }
 
 /// What missing packing efficiency counts, in parts of the seams before: more than any cut that might mend it.
-const MISSING: f64 = 10.0;
+const MISSING: f64 = 20.0;
 /// Temperature of the search at its begin and end, in parts of the seams before.
 const WARM: f64 = 0.02;
 const COLD: f64 = 0.0005;

@@ -34,7 +34,7 @@ use super::box_cutter::box_cutter;
 use super::box_cutter::params::BoxCutter;
 use super::pack::{finished, lay_out};
 use super::stage::{StageInput, Staged};
-use crate::atlas::{Atlas, Charts, FaceId, OverlapMode, Topology, clusters, coverage};
+use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, OverlapMode, Topology, clusters, coverage, overlaps, seams};
 use crate::error::{Result, Warning};
 use crate::packing::{Random, RectangleRequest};
 
@@ -94,7 +94,8 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
     if charts.len() > 1 {
         let (packed, work) = lay_out(input, &[], &[], 1.0)?;
         let efficiency = efficiency(&packed);
-        if efficiency >= bound {
+        // What folds or lies on itself is not left so.
+        if efficiency >= bound && overlaps(&packed, &Charts::new(&Topology::new(&packed)), 1).intra.is_empty() {
             let figures = Map::from_iter([
                 ("work".to_owned(), Value::from(work)),
                 ("packing_efficiency".to_owned(), json!(efficiency)),
@@ -112,7 +113,8 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
     };
     let weights = face_weights(input);
     let seams = seam_length(atlas);
-    let job = Job { input, params, cluster: &cluster, weights: weights.as_deref(), seams, target };
+    let border = border_length(atlas).max(1e-3 * bounds(atlas).length());
+    let job = Job { input, params, cluster: &cluster, weights: weights.as_deref(), seams, border, target };
     let mut work = 0;
     let mut kept_as_they_are = 0;
     let (before, best) = loop {
@@ -206,6 +208,8 @@ struct Job<'a> {
     weights: Option<&'a [f64]>,
     /// Length of the seams before.
     seams: f64,
+    /// The same with the boundary of the surface: what cuts are measured in.
+    border: f64,
     target: Target,
 }
 
@@ -218,7 +222,7 @@ impl Job<'_> {
 
     /// The best of some attempts; none where there is nothing to place.
     fn best(&self, prepared: &Prepared, first: Constructed, before: f64, work: &mut u64) -> Result<Option<Attempt>> {
-        let Job { params, seams, .. } = *self;
+        let Job { params, seams, border, .. } = *self;
         let context = self.input.context;
         let bound = params.packing_efficiency;
         let area: f64 = prepared.disks.iter().map(|d| d.area).sum();
@@ -250,7 +254,7 @@ impl Job<'_> {
                     rung = k,
                     efficiency = a.efficiency,
                     distortion = a.distortion / before,
-                    cut = a.cut / seams,
+                    cut = a.cut / border,
                     "attempt"
                 );
             }
@@ -278,13 +282,14 @@ impl Job<'_> {
             }
         }
         *work += attempts.iter().map(|a| a.steps as u64 * a.atlas.uv.len() as u64).sum::<u64>();
-        let allowed = params.max_boundary_length.map_or(f64::INFINITY, |most| (most - 1.0) * seams);
+        let allowed =
+            params.max_boundary_length.filter(|_| seams > 0.0).map_or(f64::INFINITY, |most| (most - 1.0) * seams);
         // The bound first, then the limit on seams, then distortion and seams together.
         let value = |a: &Attempt| {
             let missing = (bound - a.efficiency).max(0.0);
-            let over = (a.cut - allowed).max(0.0) / seams.max(1e-300);
+            let over = (a.cut - allowed).max(0.0) / border;
             let worse = (a.distortion / before - 1.0 - AS_GOOD).max(0.0);
-            (missing, over, WORSE * worse + a.cut / seams.max(1e-300))
+            (missing, over, WORSE * worse + a.cut / border)
         };
         let best = attempts.into_iter().min_by(|a, b| {
             let (a, b) = (value(a), value(b));
@@ -295,7 +300,7 @@ impl Job<'_> {
 
     /// Divides the charts of a construction, packs the parts, and relaxes them.
     fn attempt(&self, constructed: &Constructed, goal: f64, before: f64) -> Result<Attempt> {
-        let Job { input, params, cluster, weights, seams, .. } = *self;
+        let Job { input, params, cluster, weights, seams, border, .. } = *self;
         let context = input.context;
         let gap = sheet::gap(input);
         let charts: Vec<_> = constructed.disks.iter().map(|d| d.arrangement.clone()).collect();
@@ -305,7 +310,7 @@ impl Job<'_> {
         let wanted = Goal {
             efficiency: goal,
             padding,
-            seams: seams.max(1e-3 * diagonal),
+            seams: border,
             request: RectangleRequest { turns: sheet::turns(input), aspect, widths: WIDTHS },
             tries: params.candidates as usize,
             is_published: params.search == Search::Paper,
@@ -373,6 +378,13 @@ fn distortion_of(prepared: &Prepared, target: Target) -> f64 {
 /// Length of the seams on the surface, each once, its boundary apart.
 fn seam_length(atlas: &Atlas) -> f64 {
     super::optcuts::seam_length(atlas)
+}
+
+/// Length of the borders of all charts on the surface, each edge once.
+fn border_length(atlas: &Atlas) -> f64 {
+    let topology = Topology::new(atlas);
+    let is_counted = |h: &HalfEdge| topology.is_border(*h) && topology.across_seam(*h).is_none_or(|twin| *h < twin);
+    topology.half_edges().filter(is_counted).fold(0.0, |sum, h| sum + seams::length(atlas, h))
 }
 
 /// Area covered over area of the box about all charts, over all pages.

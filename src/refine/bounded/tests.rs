@@ -9,7 +9,7 @@ use super::arrangement::arrange;
 use super::construct::AlignedDisk;
 use super::*;
 use crate::atlas::testing::{Rng, atlas as made, join, sheet, soup};
-use crate::atlas::{Exactness, UvId, check, overlaps};
+use crate::atlas::{Exactness, UvId, check};
 use crate::context::Context;
 use crate::packing::Gutter;
 use crate::refine::options::{IfLarger, Options};
