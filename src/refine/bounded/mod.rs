@@ -230,7 +230,8 @@ impl Job<'_> {
         let mut constructed: [Option<Constructed>; CORNERS.len()] = [const { None }; CORNERS.len()];
         constructed[1] = Some(first);
         let mut attempts: Vec<Attempt> = Vec::new();
-        let is_good = |a: &Attempt| a.efficiency >= bound && a.distortion <= before * (1.0 + AS_GOOD);
+        let is_good =
+            |a: &Attempt| a.efficiency >= bound && a.distortion <= before * (1.0 + AS_GOOD) && a.unwritable.is_empty();
         let is_paper = params.search == Search::Paper;
         // In waves, so that what is tried does not depend on the number of threads.
         let mut wave: Vec<usize> = if is_paper { vec![3] } else { vec![1, 3] };
@@ -286,7 +287,9 @@ impl Job<'_> {
             params.max_boundary_length.filter(|_| seams > 0.0).map_or(f64::INFINITY, |most| (most - 1.0) * seams);
         // The bound first, then the limit on seams, then distortion and seams together.
         let value = |a: &Attempt| {
-            let missing = (bound - a.efficiency).max(0.0);
+            // Less than any chart that would have to stay as it is.
+            let lost = if a.unwritable.is_empty() { 0.0 } else { 1.0 };
+            let missing = (bound - a.efficiency).max(0.0) + lost;
             let over = (a.cut - allowed).max(0.0) / border;
             let worse = (a.distortion / before - 1.0 - AS_GOOD).max(0.0);
             (missing, over, WORSE * worse + a.cut / border)
@@ -336,13 +339,14 @@ impl Job<'_> {
                 rounds: ROUNDS,
                 steps: STEPS,
             };
-            let reduced = reduce(&mut packed.charts, &goal, &|| context.check())?;
+            let reduced = reduce(&mut packed.charts, &goal, &|| context.check(), &|| context.out_of_time())?;
             (steps, distortion) = (reduced.steps, reduced.energy);
         }
         let efficiency = packed.charts.efficiency();
         let pieces = packed.pieces.len();
         let fallbacks = constructed.disks.iter().filter(|d| d.is_fallback).count();
         let cut = (seam_length(mesh.atlas()) - seams).max(0.0);
+        sheet::widen(&mesh, &labels, &mut packed);
         let unwritable = sheet::unwritable(&mesh, &labels, &packed, constructed.disks.len());
         let unwritable =
             constructed.number.iter().zip(unwritable).filter(|(_, is_out)| *is_out).map(|(k, _)| *k).collect();

@@ -129,11 +129,12 @@ impl PackedCharts {
     }
 }
 
-/// Lowers the distortion while no two charts touch and they stay packed well enough.
+/// Lowers the distortion while no two charts touch and they stay packed well enough; what was reached when time is up will do.
 pub(super) fn reduce(
     charts: &mut PackedCharts,
     goal: &Reduction,
     interrupt: &dyn Fn() -> Result<()>,
+    out_of_time: &dyn Fn() -> bool,
 ) -> Result<Reduced> {
     let mut workspace = Workspace::default();
     let n = charts.x.len();
@@ -153,6 +154,9 @@ pub(super) fn reduce(
     let size = high - low;
     let mut good = (charts.x.clone(), energy);
     for round in 0..goal.rounds {
+        if out_of_time() {
+            break;
+        }
         let (inner, outer) = (charts.bounds(), charts.outer_bounds());
         let part = ((round + 1) as f64 / GROWING as f64).min(1.0);
         let area = SETTLED * charts.rest_area + charts.fixed_area;

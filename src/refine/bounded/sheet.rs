@@ -13,6 +13,7 @@ use super::reduce::PackedCharts;
 use crate::atlas::{Atlas, Charts, FaceId, Mesh, OverlapMode, Topology, UvId, clusters, coverage, orientation};
 use crate::error::Warning;
 use crate::numeric::dirichlet::RestTriangle;
+use crate::numeric::repair::repair_inversions;
 use crate::packing::{RectanglePacker, RectangleRequest, Rotation};
 use crate::refine::pack::sides;
 use crate::refine::stage::StageInput;
@@ -22,6 +23,8 @@ use crate::texture::Size;
 const STIFF: f64 = 4.0;
 /// Steps of texture coordinates in 32 bits, over a sheet.
 const WRITTEN: f64 = (1 << 22) as f64;
+/// Area of a face that is too small to be written, in parts of the mean, once it is widened.
+const WIDENED: f64 = 1e-4;
 /// How much wider the layer is than it must be.
 const WIDER: f64 = 1.1;
 
@@ -212,6 +215,22 @@ fn charts_of(
         out.fixed_area += coverage(&part, &charts, &clusters(&part, &charts, OverlapMode::Separate)).covered;
     }
     (out, name)
+}
+
+/// Gives faces that 32 bits cannot hold where they lie a little area, by moving vertices inside their charts.
+pub(super) fn widen(mesh: &Mesh, labels: &Labels, packed: &mut Packed) {
+    if !unwritable(mesh, labels, packed, packed.reversed.len()).contains(&true) {
+        return;
+    }
+    let charts = &mut packed.charts;
+    let mut is_free = vec![true; charts.x.len()];
+    charts.walls.iter().flatten().chain(&charts.border).for_each(|v| is_free[*v as usize] = false);
+    let mean = charts.area() / charts.triangles.len().max(1) as f64;
+    let areas = vec![mean; charts.triangles.len()];
+    let mut x = charts.x.clone();
+    if repair_inversions(&charts.triangles, &areas, &is_free, WIDENED, &mut x) {
+        charts.x = x;
+    }
 }
 
 /// By disk: whether it has a face that 32 bits cannot hold where its parts lie.
