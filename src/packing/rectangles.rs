@@ -87,6 +87,7 @@ pub(crate) struct RectanglePacker {
     free: Vec<Span>,
     fresh: Vec<Span>,
     kept: Vec<Span>,
+    least: Vec<f64>,
     placed: Vec<Span>,
     places: Vec<PlacedRectangle>,
 }
@@ -110,8 +111,9 @@ impl RectanglePacker {
         // The more there are, the less it matters how they are placed, and the longer it takes.
         let (orders, rules, widths) = match sizes.len() {
             0..=100 => (ORDERS.as_slice(), RULES.as_slice(), request.widths),
-            101..=1000 => (&ORDERS[..2], &RULES[..2], request.widths.min(12)),
-            _ => (&ORDERS[..1], &RULES[..1], request.widths.min(4)),
+            101..=1000 => (&ORDERS[..2], &RULES[..1], request.widths.min(12)),
+            1001..=3000 => (&ORDERS[..1], &RULES[..1], request.widths.min(4)),
+            _ => (&ORDERS[..1], &RULES[..1], request.widths.min(2)),
         };
         let steps = widths.max(1);
         let mut best: Option<RectanglePacking> = None;
@@ -160,7 +162,13 @@ impl RectanglePacker {
         self.places.clear();
         self.places.resize(sizes.len(), PlacedRectangle { at: DVec2::ZERO, turned: false });
         let mut size = DVec2::ZERO;
-        for &i in order {
+        // What is narrower than all that are still to come is of no use.
+        self.least.clear();
+        self.least.resize(order.len() + 1, f64::INFINITY);
+        for (k, &i) in order.iter().enumerate().rev() {
+            self.least[k] = self.least[k + 1].min(sizes[i].min_element());
+        }
+        for (k, &i) in order.iter().enumerate() {
             let mut best: Option<((f64, f64), Span, bool)> = None;
             for free in &self.free {
                 let room = free.high - free.low;
@@ -187,7 +195,8 @@ impl RectanglePacker {
             self.places[i] = PlacedRectangle { at: span.low, turned };
             size = size.max(span.high);
             self.placed.push(span);
-            self.take(&span);
+            let least = self.least[k + 1];
+            self.take(&span, least);
         }
         Some(size)
     }
@@ -212,8 +221,8 @@ impl RectanglePacker {
         sum
     }
 
-    /// Takes a box out of the free rectangles, which stay maximal.
-    fn take(&mut self, span: &Span) {
+    /// Takes a box out of the free rectangles, which stay maximal; those that are narrower than `least` go.
+    fn take(&mut self, span: &Span, least: f64) {
         self.fresh.clear();
         let mut k = 0;
         while k < self.free.len() {
@@ -229,7 +238,7 @@ impl RectanglePacker {
                 Span { high: DVec2::new(free.high.x, span.low.y), ..free },
                 Span { low: DVec2::new(free.low.x, span.high.y), ..free },
             ];
-            self.fresh.extend(parts.into_iter().filter(|p| p.low.cmplt(p.high).all()));
+            self.fresh.extend(parts.into_iter().filter(|p| (p.high - p.low).min_element() >= least));
         }
         // Only what is new can lie in another: the old ones were maximal.
         for n in 0..self.fresh.len() {

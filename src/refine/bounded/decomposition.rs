@@ -181,6 +181,9 @@ const WARM: f64 = 0.02;
 const COLD: f64 = 0.0005;
 /// Rectangles that are packed in a whole search, squared: fewer tries for more.
 const WORK: f64 = 4e6;
+/// Most rectangles that are packed to judge a division; of more it is known how tightly they pack.
+const MOST_PACKED: usize = 600;
+const FILLED: f64 = 0.97;
 /// Weight of the boundary's growth in the published score (omega of eq. 11).
 const OMEGA: f64 = 0.1;
 
@@ -207,7 +210,10 @@ impl Searcher<'_> {
         let Goal { padding, seams, .. } = *self.goal;
         self.sizes.clear();
         self.sizes.extend(divisions.iter().flat_map(|d| &d.rectangles).map(|(low, high)| *high - *low + padding));
-        let box_area = self.packer.pack(&self.sizes, &self.goal.request)?.area(self.goal.request.aspect);
+        let box_area = match self.sizes.len() {
+            0..=MOST_PACKED => self.packer.pack(&self.sizes, &self.goal.request)?.area(self.goal.request.aspect),
+            _ => self.sizes.iter().map(|s| s.element_product()).sum::<f64>() / FILLED,
+        };
         let area: f64 = divisions.iter().flat_map(|d| &d.areas).sum();
         let efficiency = area / box_area;
         let is_sliver = |s: &&DVec2| s.max_element() - padding > SLENDER * (s.min_element() - padding);

@@ -51,6 +51,8 @@ const TIGHTEST: f64 = 0.985;
 const AS_GOOD: f64 = 5e-4;
 /// What more distortion than in the input counts, relative to it, in parts of the seams before.
 const WORSE: f64 = 40.0;
+/// Vertices that steps may have moved before something more is tried.
+const WORK: u64 = 1_500_000;
 /// How often charts that cannot be made axis-aligned are halved.
 const HALVINGS: usize = 6;
 /// Rounds of reduction, and steps in each.
@@ -71,6 +73,13 @@ struct Attempt {
     steps: usize,
     /// Disks with faces that 32 bits cannot hold.
     unwritable: Vec<usize>,
+}
+
+impl Attempt {
+    /// Vertices that its steps moved.
+    fn work(&self) -> u64 {
+        self.steps as u64 * self.atlas.uv.len() as u64
+    }
 }
 
 /// Deforms, cuts, packs and relaxes.
@@ -260,7 +269,9 @@ impl Job<'_> {
                 );
             }
             attempts.extend(made);
-            if is_paper || context.out_of_time() {
+            // What is large gets fewer tries.
+            let spent: u64 = attempts.iter().map(Attempt::work).sum();
+            if is_paper || context.out_of_time() || spent >= self.input.options.work_budget.unwrap_or(WORK) {
                 break;
             }
             wave = match (round, good.as_slice()) {
@@ -282,7 +293,7 @@ impl Job<'_> {
                 attempts.push(self.attempt(&constructed, goal(slack), before)?);
             }
         }
-        *work += attempts.iter().map(|a| a.steps as u64 * a.atlas.uv.len() as u64).sum::<u64>();
+        *work += attempts.iter().map(Attempt::work).sum::<u64>();
         let allowed =
             params.max_boundary_length.filter(|_| seams > 0.0).map_or(f64::INFINITY, |most| (most - 1.0) * seams);
         // The bound first, then the limit on seams, then distortion and seams together.
