@@ -173,6 +173,27 @@ fn a_requirement_that_is_not_met_keeps_the_artifacts() {
 }
 
 #[test]
+fn a_requirement_that_the_recipe_is_bound_to_is_met() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let options = json!({
+        "recipe": "bounded",
+        "bounded": {"packing_efficiency": 0.8},
+        "pack": {"gutter": 0},
+        "atlas": {"overlaps": "separate", "if_larger": "accept"},
+        "require": {"atlas.packing_efficiency": {"min": 0.8}},
+    });
+    // Its charts have to be cut for that.
+    let model = intarsia::asset::sample::sample("quantized").unwrap();
+    let form = Form::default().file("model", "quantized.glb", &model).text("options", &options.to_string());
+    let job = server.wait(&server.accepted(&form));
+    assert_eq!(job["state"], "succeeded", "{job:#}");
+    let report = json(&mut server.get(artifact(&job, "report.json")["href"].as_str().unwrap(), &[]));
+    assert_eq!(report["stages"][0]["bound_met"], true, "{report:#}");
+    assert!(report["atlases"][0]["before"]["packing_efficiency"].as_f64() < Some(0.8), "{report:#}");
+}
+
+#[test]
 fn ended_jobs_cannot_be_cancelled_and_deleted_jobs_are_gone() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);
