@@ -171,8 +171,19 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
         );
         context.warn(Warning::new("bound_not_met", text));
     }
+    let growth = (seams > 0.0).then(|| (seams + best.cut) / seams);
+    if let (Some(most), Some(growth)) = (params.max_boundary_length, growth)
+        && growth > most * (1.0 + 1e-9)
+    {
+        let text = format!(
+            "the seams of atlas {} are {growth:.3} times as long as before; at most {most} was asked for, and the bound on packing efficiency comes first",
+            sheet_info.id
+        );
+        context.warn(Warning::new("boundary_limit_missed", text));
+    }
     let figures = Map::from_iter([
         ("work".to_owned(), json!(work)),
+        ("boundary_growth".to_owned(), json!(growth)),
         ("packing_efficiency".to_owned(), json!(best.efficiency)),
         ("bound_met".to_owned(), json!(bound_met)),
         ("distortion_before".to_owned(), json!(before)),
@@ -319,7 +330,8 @@ impl Job<'_> {
         let gap = sheet::gap(input);
         let charts: Vec<_> = constructed.disks.iter().map(|d| d.arrangement.clone()).collect();
         let diagonal = bounds(input.atlas).length();
-        let padding = gap.max(params.padding * diagonal);
+        // Layers about charts must not touch each other before anything has moved.
+        let padding = (gap * sheet::WIDER * 1.01).max(params.padding * diagonal);
         let aspect = sheet::aspect(input);
         let wanted = Goal {
             efficiency: goal,

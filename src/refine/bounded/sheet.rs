@@ -26,7 +26,7 @@ const WRITTEN: f64 = (1 << 22) as f64;
 /// Area of a face that is too small to be written, in parts of the mean, once it is widened.
 const WIDENED: f64 = 1e-4;
 /// How much wider the layer is than it must be.
-const WIDER: f64 = 1.1;
+pub(super) const WIDER: f64 = 1.1;
 
 /// A part of a chart, or what stays as it is.
 #[derive(Debug, Clone)]

@@ -232,10 +232,13 @@ fn the_map_is_kept_where_that_is_asked_for_and_threads_do_not_matter() {
     let kept = Bounded { keep_mapping: true, ..Bounded::default() };
     let (staged, _) = run(&start, &kept, &options(0, OverlapMode::Separate));
     is_packed(&staged, 0.8);
-    let own = run(&start, &Bounded::default(), &options(2, OverlapMode::Separate)).0;
+    let mut large = start.clone();
+    large.uv.iter_mut().for_each(|p| *p *= 20.0);
+    let own = run(&large, &Bounded::default(), &options(2, OverlapMode::Separate)).0;
+    assert!(own.figures["work"].as_u64() > Some(0), "a gutter keeps nothing from being relaxed: {:?}", own.figures);
     let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     assert!(
-        alone.install(|| run(&start, &Bounded::default(), &options(2, OverlapMode::Separate))).0.atlas == own.atlas
+        alone.install(|| run(&large, &Bounded::default(), &options(2, OverlapMode::Separate))).0.atlas == own.atlas
     );
     let paper = Bounded { search: Search::Paper, candidates: 100, ..Bounded::default() };
     is_packed(&run(&start, &paper, &options(0, OverlapMode::Separate)).0, 0.8);
