@@ -97,3 +97,18 @@ pub(crate) fn sorted_unique<T: Ord>(items: impl IntoIterator<Item = T>) -> Vec<T
     items.dedup();
     items
 }
+
+/// A cost that can be ordered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Cost(pub f64);
+impl Eq for Cost {}
+impl PartialOrd for Cost {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Cost {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.0.total_cmp(&other.0)
+    }
+}

@@ -103,6 +103,21 @@ impl SheetInfo {
         }
     }
 
+    /// Of a sheet without images, for tests.
+    #[cfg(test)]
+    pub(super) fn plain() -> Self {
+        SheetInfo {
+            id: 0,
+            reference: [100, 100],
+            unit: 1,
+            mipmaps: false,
+            is_virtual: true,
+            animated: false,
+            directions: false,
+            joined: false,
+        }
+    }
+
     /// Gutter in texels of the smallest slot.
     pub fn gutter(&self, pack: &Pack) -> u32 {
         match pack.gutter {

@@ -3,11 +3,14 @@
 //! The chart may lie on itself, so that nothing is asked of the plane: trails are walked from face to face, two of them cross where they are in the same face at
 //! the same place, and the cells are found by turning left.
 
+use std::collections::BTreeMap;
+
 use glam::DVec2;
 
 use super::angles::turns;
 use super::chart_map::ChartMap;
 use super::deform::{axis_direction, runs};
+use crate::atlas::bvh::Bounds;
 use crate::atlas::{FaceId, HalfEdge, Mesh, TrailEnd, TrailPoint, TrailStart, UvId};
 
 /// Distance in parts of the chart's extent at which two places are one.
@@ -55,22 +58,14 @@ pub(super) struct Motorcycle {
     pub length: f64,
 }
 
-/// A rectangle that no trail divides.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Cell {
-    pub low: DVec2,
-    pub high: DVec2,
-}
-
 /// Trails, nodes, edges and cells of one chart.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Arrangement {
     pub nodes: Vec<Node>,
     pub edges: Vec<Edge>,
     pub motorcycles: Vec<Motorcycle>,
-    pub cells: Vec<Cell>,
-    /// Nodes of reflex corners.
-    pub reflex: Vec<u32>,
+    /// Rectangles that no trail divides.
+    pub cells: Vec<Bounds>,
 }
 
 /// A trail as it was walked.
@@ -136,10 +131,8 @@ pub(super) fn arrange(
 ) -> Option<Arrangement> {
     let n = map.boundary.len();
     let turns = turns(targets);
-    let (low, high) = map.x.iter().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
-    let near = SAME * (high - low).max_element();
-    let place: std::collections::BTreeMap<UvId, usize> =
-        map.boundary.iter().enumerate().map(|(i, v)| (map.uvs[*v as usize], i)).collect();
+    let near = SAME * Bounds::of(&map.x).size().max_element();
+    let place = map.places();
     let mut starts = Vec::new();
     for i in (0..n).filter(|i| turns[*i] < 0) {
         let before = targets[(i + n - 1) % n] - if i == 0 { 4 } else { 0 };
@@ -149,24 +142,24 @@ pub(super) fn arrange(
     for &i in more.iter().filter(|i| turns[**i] == 0) {
         starts.push((i, (targets[i] + 1).rem_euclid(4) as usize, false));
     }
-    let mut walks = Vec::with_capacity(starts.len());
-    for (start, direction, is_corner) in starts {
-        walks.push(walk(mesh, map, &place, start, direction, is_corner, near, weight)?);
-    }
+    let ground = Ground { mesh, map, place, near, weight };
+    let walks = starts.into_iter().map(|start| walk(&ground, start)).collect::<Option<_>>()?;
     build(map, targets, &turns, walks, near)
 }
 
-#[allow(clippy::too_many_arguments)]
-fn walk(
-    mesh: &Mesh,
-    map: &ChartMap,
-    place: &std::collections::BTreeMap<UvId, usize>,
-    start: usize,
-    direction: usize,
-    is_corner: bool,
+/// What trails of one chart are walked on.
+struct Ground<'a> {
+    mesh: &'a Mesh,
+    map: &'a ChartMap,
+    /// Place on the boundary, by UV vertex.
+    place: BTreeMap<UvId, usize>,
     near: f64,
-    weight: &dyn Fn(FaceId) -> f64,
-) -> Option<Walk> {
+    weight: &'a dyn Fn(FaceId) -> f64,
+}
+
+/// Walks from a boundary vertex to the boundary. `None` where the trail gets lost.
+fn walk(ground: &Ground<'_>, (start, direction, is_corner): (usize, usize, bool)) -> Option<Walk> {
+    let Ground { mesh, map, place, near, weight } = ground;
     let uv = map.uvs[map.boundary[start] as usize];
     let own = |c: &HalfEdge| map.faces.binary_search(&c.face()).is_ok();
     let corner = mesh.corners_of(uv).find(own)?;
@@ -263,9 +256,6 @@ fn build(map: &ChartMap, targets: &[i32], turns: &[i32], walks: Vec<Walk>, near:
     let mut corner_node = vec![u32::MAX; n];
     for i in (0..n).filter(|i| turns[*i] != 0) {
         corner_node[i] = node(&mut out, at(i), true);
-        if turns[i] < 0 {
-            out.reflex.push(corner_node[i]);
-        }
     }
     for (s, (run, _)) in sides.iter().enumerate() {
         run.iter().for_each(|i| side_of_edge[*i] = s);
@@ -410,7 +400,7 @@ fn find_cells(out: &mut Arrangement) -> Option<()> {
             }
             let cell = out.cells.len() as u32;
             let (mut node, mut d, mut lefts) = (first, direction, 0i32);
-            let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+            let mut bounds = Bounds::EMPTY;
             loop {
                 let (e, to) = out.nodes[node as usize].links[d]?;
                 if std::mem::replace(&mut seen[e as usize][d / 2], true) {
@@ -418,7 +408,7 @@ fn find_cells(out: &mut Arrangement) -> Option<()> {
                 }
                 out.edges[e as usize].cells[d / 2] = Some(cell);
                 let at = out.nodes[to as usize].at;
-                (low, high) = (low.min(at), high.max(at));
+                bounds = bounds.union(Bounds { min: at, max: at });
                 node = to;
                 // The leftmost that there is.
                 let turn = [1, 0, 3].into_iter().find(|turn| {
@@ -441,7 +431,7 @@ fn find_cells(out: &mut Arrangement) -> Option<()> {
             if lefts != 4 {
                 return None;
             }
-            out.cells.push(Cell { low, high });
+            out.cells.push(bounds);
         }
     }
     let sides = |e: &Edge| e.cells.iter().flatten().count();
@@ -449,23 +439,18 @@ fn find_cells(out: &mut Arrangement) -> Option<()> {
 }
 
 impl Arrangement {
-    /// Of a chart that nothing divides.
-    pub fn whole(map: &ChartMap) -> Self {
-        let (low, high) = map.x.iter().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
-        Arrangement { cells: vec![Cell { low, high }], ..Arrangement::default() }
+    /// The box about some cells.
+    pub fn bounds(&self, cells: &[u32]) -> Bounds {
+        cells.iter().fold(Bounds::EMPTY, |all, c| all.union(self.cells[*c as usize]))
     }
 
     /// Whether two of some cells overlap: the chart lies on itself there.
     pub fn lies_on_itself(&self, cells: &[u32]) -> bool {
-        let (low, high) = cells
-            .iter()
-            .map(|c| &self.cells[*c as usize])
-            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(a, b), c| (a.min(c.low), b.max(c.high)));
-        let near = SAME * (high - low).max_element();
+        let near = SAME * self.bounds(cells).size().max_element();
         cells.iter().enumerate().any(|(i, a)| {
             let a = &self.cells[*a as usize];
             cells[i + 1..].iter().map(|b| &self.cells[*b as usize]).any(|b| {
-                let common = a.high.min(b.high) - a.low.max(b.low);
+                let common = a.max.min(b.max) - a.min.max(b.min);
                 common.min_element() > near
             })
         })

@@ -1,7 +1,10 @@
 //! One chart as the construction works on it: a disk whose triangles all have a positive area, and its boundary.
 
+use std::collections::BTreeMap;
+
 use glam::DVec2;
 
+use crate::atlas::groups::sorted_unique;
 use crate::atlas::{FaceId, HalfEdge, Mesh, UvId};
 use crate::numeric::dirichlet::RestTriangle;
 use crate::numeric::newton::Element;
@@ -47,9 +50,7 @@ impl ChartMap {
         reversed: bool,
         shape: &dyn Fn(FaceId) -> Option<[DVec2; 3]>,
     ) -> Option<ChartMap> {
-        let mut uvs: Vec<UvId> = faces.iter().flat_map(|f| mesh.atlas().corners[f.index()]).collect();
-        uvs.sort_unstable();
-        uvs.dedup();
+        let uvs = sorted_unique(faces.iter().flat_map(|f| mesh.atlas().corners[f.index()]));
         let local = |u: UvId| uvs.partition_point(|x| *x < u) as u32;
         let order = |t: [u32; 3]| if reversed { [t[0], t[2], t[1]] } else { t };
         let triangles: Vec<[u32; 3]> =
@@ -159,6 +160,11 @@ impl ChartMap {
             angles.push(angle);
         }
         angles
+    }
+
+    /// The place of each UV vertex of the boundary on it.
+    pub fn places(&self) -> BTreeMap<UvId, usize> {
+        self.boundary.iter().enumerate().map(|(i, v)| (self.uvs[*v as usize], i)).collect()
     }
 
     /// How many faces meet at each vertex of the boundary.

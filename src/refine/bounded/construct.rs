@@ -29,12 +29,9 @@ pub(super) struct Construction {
 #[derive(Debug, Clone)]
 pub(super) struct AlignedDisk {
     pub map: ChartMap,
-    pub targets: Vec<i32>,
     pub arrangement: Arrangement,
     /// Whether it had to become a plain rectangle.
     pub is_fallback: bool,
-    /// Whether its trails could not be followed.
-    pub is_lost: bool,
 }
 
 /// All disks axis-aligned.
@@ -48,6 +45,8 @@ pub(super) struct Constructed {
     pub info: Vec<Disk>,
     /// By disk: its number before those that failed were left out.
     pub number: Vec<usize>,
+    /// The numbers of those that failed, which lie as they were uploaded.
+    failed: Vec<usize>,
     /// What is kept near.
     pub target: Target,
 }
@@ -114,40 +113,59 @@ pub(super) fn construct(
                 Ok(flatten(&mut map, targets).is_ok().then_some(map))
             })
             .collect::<Result<_>>()?;
-        for ((out, map), from) in aligned.iter_mut().zip(done).zip(&mut aimed) {
-            if let (Some(map), Some(a)) = (map, &*from) {
-                let arrangement = Arrangement::default();
-                *out = Some(AlignedDisk { map, targets: a.targets.clone(), arrangement, is_fallback, is_lost: false });
-                *from = None;
+        // Trails are walked on the mesh; where they get lost it is as if the deformation had failed.
+        let before: Vec<DVec2> = own.mesh.atlas().uv.clone();
+        let moved = |mesh: &mut Mesh, map: &ChartMap, at: &dyn Fn(usize) -> DVec2| {
+            map.uvs.iter().enumerate().for_each(|(v, u)| mesh.move_uv(*u, at(v)));
+        };
+        done.iter().flatten().for_each(|map| moved(&mut own.mesh, map, &|v| map.x[v]));
+        let (mesh, origin) = (&own.mesh, &own.labels.origin);
+        let weight = |f: FaceId| weights.map_or(1.0, |w| w[origin[f.index()].index()]);
+        let walked: Vec<Option<Arrangement>> = done
+            .par_iter()
+            .zip(&aimed)
+            .map(|(map, a)| {
+                let (map, targets) = (map.as_ref()?, &a.as_ref()?.targets);
+                let all = more(map, targets, how.part);
+                let found = arrange(mesh, map, targets, &all, &weight);
+                found.or_else(|| if all.is_empty() { None } else { arrange(mesh, map, targets, &[], &weight) })
+            })
+            .collect();
+        for (((out, map), walked), from) in aligned.iter_mut().zip(done).zip(walked).zip(&mut aimed) {
+            let Some(map) = map else { continue };
+            match walked {
+                Some(arrangement) => {
+                    *out = Some(AlignedDisk { map, arrangement, is_fallback });
+                    *from = None;
+                }
+                None => moved(&mut own.mesh, &map, &|v| before[map.uvs[v].index()]),
             }
         }
     }
-    for disk in aligned.iter().flatten() {
-        for (u, x) in disk.map.uvs.iter().zip(&disk.map.x) {
-            own.mesh.move_uv(*u, *x);
-        }
-    }
-    let mesh = &own.mesh;
-    let origin = &own.labels.origin;
-    let weight = |f: FaceId| weights.map_or(1.0, |w| w[origin[f.index()].index()]);
-    aligned.par_iter_mut().flatten().for_each(|d| {
-        match arrange(mesh, &d.map, &d.targets, &more(&d.map, &d.targets, how.part), &weight) {
-            Some(arrangement) => d.arrangement = arrangement,
-            // A chart in which trails get lost stays whole.
-            None => (d.arrangement, d.is_lost) = (Arrangement::whole(&d.map), true),
-        }
-    });
     // A disk without a map keeps no place among them.
     let mut name = Vec::with_capacity(aligned.len());
-    let (mut disks, mut info, mut number) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut disks, mut info, mut number, mut failed) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (k, (d, of)) in aligned.into_iter().zip(own.disks).enumerate() {
+        if d.is_none() {
+            failed.push(k);
+            own.layout.restore(&mut own.mesh, &own.labels, &of.faces);
+        }
         number.extend(d.is_some().then_some(k));
         name.push(if d.is_some() { disks.len() as u32 } else { NO_DISK });
         info.extend(d.is_some().then_some(of));
         disks.extend(d);
     }
     own.labels.disk.iter_mut().filter(|d| **d != NO_DISK).for_each(|d| *d = name[*d as usize]);
-    Ok(Constructed { mesh: own.mesh, labels: own.labels, layout: own.layout, disks, info, number, target: how.target })
+    Ok(Constructed {
+        mesh: own.mesh,
+        labels: own.labels,
+        layout: own.layout,
+        disks,
+        info,
+        number,
+        failed,
+        target: how.target,
+    })
 }
 
 /// Boundary vertices that divide the sides into parts of about a length.
@@ -173,10 +191,11 @@ fn more(map: &ChartMap, targets: &[i32], part: f64) -> Vec<usize> {
 }
 
 impl Constructed {
-    /// The disks, as they were numbered before some were left out, that only became rectangles, and bent ones, or in which trails get lost.
+    /// The disks, as they were numbered before some were left out, that failed or only became rectangles, and bent ones.
     pub fn bent(&self) -> impl Iterator<Item = usize> {
         let pairs = self.disks.iter().zip(&self.number);
-        pairs.filter(|(d, _)| d.is_lost || d.is_fallback && d.map.distortion() > BENT).map(|(_, n)| *n)
+        let bent = pairs.filter(|(d, _)| d.is_fallback && d.map.distortion() > BENT).map(|(_, n)| *n);
+        bent.chain(self.failed.iter().copied())
     }
 }
 

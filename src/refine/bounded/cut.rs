@@ -7,7 +7,8 @@ use super::chart_map::ChartMap;
 use super::decomposition::Division;
 use super::deform::axis_direction;
 use super::prepare::Labels;
-use crate::atlas::{FaceId, HalfEdge, Mesh, TrailStart, UvId};
+use crate::atlas::bvh::Bounds;
+use crate::atlas::{HalfEdge, Mesh, TrailStart, UvId};
 
 /// Distance from a trail, in parts of the chart's extent, within which a vertex is on it.
 const SNAP: f64 = 1e-9;
@@ -21,8 +22,7 @@ pub(super) fn cut_chart(
     labels: &mut Labels,
     own: u32,
 ) {
-    let (low, high) = map.x.iter().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
-    let snap = SNAP * (high - low).max_element();
+    let snap = SNAP * Bounds::of(&map.x).size().max_element();
     for &m in &division.ran {
         let motorcycle = &arrangement.motorcycles[m as usize];
         let direction = axis_direction(motorcycle.direction as i32);
@@ -70,10 +70,4 @@ fn straighten(mesh: &mut Mesh, path: &[HalfEdge], direction: usize) {
             mesh.move_uv(u, p);
         }
     }
-}
-
-/// The box of some faces.
-pub(super) fn bounds(mesh: &Mesh, faces: &[FaceId]) -> (DVec2, DVec2) {
-    let points = faces.iter().flat_map(|f| mesh.atlas().uv_triangle(*f));
-    points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)))
 }

@@ -3,6 +3,7 @@
 use glam::DVec2;
 
 use super::arrangement::Arrangement;
+use crate::atlas::bvh::Bounds;
 use crate::atlas::groups::DisjointSets;
 use crate::packing::{Random, RectanglePacker, RectangleRequest};
 
@@ -27,7 +28,7 @@ pub(super) struct Division {
     /// What all cuts cost.
     pub cost: f64,
     /// Its parts: the box about each, and its area, which is less where a corner stays.
-    pub rectangles: Vec<(DVec2, DVec2)>,
+    pub rectangles: Vec<Bounds>,
     pub areas: Vec<f64>,
     /// Whether a part lies on itself.
     pub folded: bool,
@@ -72,28 +73,18 @@ impl Divider {
             out.ran.push(m);
         }
         let mut sets = DisjointSets::new(chart.cells.len());
-        for (edge, _) in chart.edges.iter().zip(active.iter()).filter(|(edge, active)| !edge.is_boundary && !**active) {
+        let pairs = chart.edges.iter().zip(active.iter());
+        for (edge, _) in pairs.filter(|(edge, active)| !edge.is_boundary && !**active) {
             if let [Some(a), Some(b)] = edge.cells {
                 sets.unite(a, b);
             }
         }
         let (_, groups) = sets.numbered();
-        let area = |cells: &Vec<u32>| -> f64 {
-            cells.iter().map(|c| &chart.cells[*c as usize]).map(|c| (c.high - c.low).element_product()).sum()
-        };
+        let area =
+            |cells: &Vec<u32>| -> f64 { cells.iter().map(|c| chart.cells[*c as usize].size().element_product()).sum() };
         out.areas = groups.iter().map(area).collect();
         out.folded = groups.iter().any(|cells| chart.lies_on_itself(cells));
-        out.rectangles = groups
-            .iter()
-            .map(|cells| {
-                cells
-                    .iter()
-                    .map(|c| &chart.cells[*c as usize])
-                    .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), cell| {
-                        (low.min(cell.low), high.max(cell.high))
-                    })
-            })
-            .collect();
+        out.rectangles = groups.iter().map(|cells| chart.bounds(cells)).collect();
         out
     }
 }
@@ -189,7 +180,7 @@ const OMEGA: f64 = 0.1;
 
 /// A search for the cuts with which the boxes about the parts of all charts can be packed well enough.
 struct Searcher<'a> {
-    charts: &'a [Arrangement],
+    charts: &'a [&'a Arrangement],
     goal: &'a Goal,
     packer: RectanglePacker,
     divider: Divider,
@@ -199,7 +190,7 @@ struct Searcher<'a> {
 /// Searches for the shortest cuts with which the boxes about the parts of all charts can be packed well enough: the charts that waste most are cut at all their
 /// corners, then by simulated annealing over the orders of the motorcycles. The best that is found, whether it is good enough or not; `None` where nothing is to
 /// be packed.
-pub(super) fn search(charts: &[Arrangement], goal: &Goal, random: &mut Random) -> Option<Chosen> {
+pub(super) fn search(charts: &[&Arrangement], goal: &Goal, random: &mut Random) -> Option<Chosen> {
     let mut searcher =
         Searcher { charts, goal, packer: RectanglePacker::default(), divider: Divider::default(), sizes: Vec::new() };
     if goal.is_published { searcher.by_score(random) } else { searcher.shortest(random) }
@@ -209,17 +200,17 @@ impl Searcher<'_> {
     fn judge(&mut self, divisions: &[Division]) -> Option<Judgement> {
         let Goal { padding, seams, .. } = *self.goal;
         self.sizes.clear();
-        self.sizes.extend(divisions.iter().flat_map(|d| &d.rectangles).map(|(low, high)| *high - *low + padding));
+        self.sizes.extend(divisions.iter().flat_map(|d| &d.rectangles).map(|r| r.size() + padding));
         let box_area = match self.sizes.len() {
             0..=MOST_PACKED => self.packer.pack(&self.sizes, &self.goal.request)?.area(self.goal.request.aspect),
             _ => self.sizes.iter().map(|s| s.element_product()).sum::<f64>() / FILLED,
         };
         let area: f64 = divisions.iter().flat_map(|d| &d.areas).sum();
         let efficiency = area / box_area;
-        let is_sliver = |s: &&DVec2| s.max_element() - padding > SLENDER * (s.min_element() - padding);
+        let is_sliver = |r: &&Bounds| r.size().max_element() > SLENDER * r.size().min_element();
         // What was not cut has the shape that it has.
         let slivers = divisions.iter().filter(|d| !d.ran.is_empty()).flat_map(|d| &d.rectangles);
-        let slivers = slivers.filter(|(low, high)| is_sliver(&&(*high - *low + padding))).count();
+        let slivers = slivers.filter(is_sliver).count();
         let faults = slivers + divisions.iter().filter(|d| d.folded).count();
         let cost: f64 = divisions.iter().map(|d| d.cost).sum();
         let value = cost / seams + MISSING * (self.goal.efficiency - efficiency).max(0.0) + faults as f64;
@@ -227,12 +218,12 @@ impl Searcher<'_> {
     }
 
     fn divide(&mut self, chart: usize, order: &Order) -> Division {
-        self.divider.divide(&self.charts[chart], order)
+        self.divider.divide(self.charts[chart], order)
     }
 
     fn shortest(&mut self, random: &mut Random) -> Option<Chosen> {
         let Goal { seams, efficiency: goal, .. } = *self.goal;
-        let mut orders: Vec<Order> = self.charts.iter().map(greedy).collect();
+        let mut orders: Vec<Order> = self.charts.iter().map(|c| greedy(c)).collect();
         let cut: Vec<Division> = (0..orders.len()).map(|c| self.divide(c, &orders[c])).collect();
         let whole: Vec<Division> = orders
             .iter()
@@ -241,8 +232,7 @@ impl Searcher<'_> {
             .collect();
         // Those that lie on themselves are cut in any case; then those whose boxes waste most for what their cuts cost.
         let waste = |d: &Division| {
-            d.rectangles.iter().map(|(low, high)| (*high - *low).element_product()).sum::<f64>()
-                - d.areas.iter().sum::<f64>()
+            d.rectangles.iter().map(|r| r.size().element_product()).sum::<f64>() - d.areas.iter().sum::<f64>()
         };
         let gain = |c: usize| {
             if whole[c].folded { f64::INFINITY } else { (waste(&whole[c]) - waste(&cut[c])) / cut[c].cost.max(1e-300) }
@@ -310,7 +300,7 @@ impl Searcher<'_> {
     /// The random motorcycle graph with the best score PE - omega BL1 / BL0 among those that pack well enough (section 3.2): all corners are cut.
     fn by_score(&mut self, random: &mut Random) -> Option<Chosen> {
         let Goal { seams, efficiency: goal, tries, .. } = *self.goal;
-        let mut orders: Vec<Order> = self.charts.iter().map(greedy).collect();
+        let mut orders: Vec<Order> = self.charts.iter().map(|c| greedy(c)).collect();
         let mut best: Option<Chosen> = None;
         let score = |j: &Judgement| {
             let is_in = j.efficiency >= goal && j.faults == 0;

@@ -32,8 +32,10 @@ use self::reduce::{Reduction, reduce};
 use self::sheet::assemble;
 use super::box_cutter::box_cutter;
 use super::box_cutter::params::BoxCutter;
+use super::optcuts::seam_length;
 use super::pack::{finished, lay_out};
 use super::stage::{StageInput, Staged};
+use crate::atlas::bvh::Bounds;
 use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, OverlapMode, Topology, clusters, coverage, overlaps, seams};
 use crate::error::{Result, Warning};
 use crate::packing::{Random, RectangleRequest};
@@ -52,9 +54,11 @@ const AS_GOOD: f64 = 5e-4;
 /// What more distortion than in the input counts, relative to it, in parts of the seams before.
 const WORSE: f64 = 40.0;
 /// Vertices that steps may have moved before something more is tried.
-const WORK: u64 = 1_500_000;
+const WORK: u64 = 3_000_000;
 /// How often charts that cannot be made axis-aligned are halved.
 const HALVINGS: usize = 6;
+/// How often the gutter is made wider because the sheet makes the charts smaller.
+const SCALINGS: usize = 3;
 /// Rounds of reduction, and steps in each.
 const ROUNDS: usize = 30;
 const STEPS: usize = 2;
@@ -217,6 +221,7 @@ fn straight(input: &StageInput<'_>, params: &Bounded, best: Option<&Attempt>, se
     let mut figures = staged.figures;
     figures.insert("packing_efficiency".to_owned(), json!(reached));
     figures.insert("bound_met".to_owned(), json!(true));
+    figures.insert("boundary_growth".to_owned(), json!((seams > 0.0).then(|| (seams + own) / seams)));
     Ok(Some(Staged { stopped_by: "straight_cuts", figures, ..staged }))
 }
 
@@ -323,12 +328,26 @@ impl Job<'_> {
         Ok(best)
     }
 
-    /// Divides the charts of a construction, packs the parts, and relaxes them.
+    /// Divides the charts of a construction, packs the parts, and relaxes them. Where all is scaled to a sheet the gutter is not scaled with it.
     fn attempt(&self, constructed: &Constructed, goal: f64, before: f64) -> Result<Attempt> {
+        let wanted = sheet::gap(self.input);
+        let (mut attempt, mut scale) = self.attempt_with_gap(constructed, goal, before, wanted)?;
+        let mut gap = wanted;
+        for _ in 0..SCALINGS {
+            if gap * scale >= wanted * (1.0 - 1e-9) {
+                break;
+            }
+            gap = 1.01 * wanted / scale;
+            (attempt, scale) = self.attempt_with_gap(constructed, goal, before, gap)?;
+        }
+        Ok(attempt)
+    }
+
+    /// An attempt with parts that are so far apart, and by what it had to be scaled for its sheet.
+    fn attempt_with_gap(&self, constructed: &Constructed, goal: f64, before: f64, gap: f64) -> Result<(Attempt, f64)> {
         let Job { input, params, cluster, weights, seams, border, .. } = *self;
         let context = input.context;
-        let gap = sheet::gap(input);
-        let charts: Vec<_> = constructed.disks.iter().map(|d| d.arrangement.clone()).collect();
+        let charts: Vec<_> = constructed.disks.iter().map(|d| &d.arrangement).collect();
         let diagonal = bounds(input.atlas).length();
         // Layers about charts must not touch each other before anything has moved.
         let padding = (gap * sheet::WIDER * 1.01).max(params.padding * diagonal);
@@ -353,7 +372,7 @@ impl Job<'_> {
         let mut packed = sheet::pack(&mesh, &labels, constructed, cluster, weights, [padding, gap], &final_request);
         let mut steps = 0;
         let mut distortion = packed.charts.energy();
-        if !params.keep_mapping && packed.charts.has_layers {
+        if !params.keep_mapping && !packed.charts.lacks_layer {
             let goal = Reduction {
                 efficiency: params.packing_efficiency,
                 // Weighted, the distortion is another measure than that of the input.
@@ -369,12 +388,12 @@ impl Job<'_> {
         let pieces = packed.pieces.len();
         let fallbacks = constructed.disks.iter().filter(|d| d.is_fallback).count();
         let cut = (seam_length(mesh.atlas()) - seams).max(0.0);
-        sheet::widen(&mesh, &labels, &mut packed);
-        let unwritable = sheet::unwritable(&mesh, &labels, &packed, constructed.disks.len());
+        sheet::widen(&mesh, &labels, constructed, &mut packed);
+        let unwritable = sheet::unwritable(&mesh, &labels, constructed, &packed);
         let unwritable =
             constructed.number.iter().zip(unwritable).filter(|(_, is_out)| *is_out).map(|(k, _)| *k).collect();
-        let atlas = assemble(input, &mesh, &packed);
-        Ok(Attempt { atlas, efficiency, distortion, cut, pieces, fallbacks, steps, unwritable })
+        let (atlas, scale) = assemble(input, &mesh, &packed);
+        Ok((Attempt { atlas, efficiency, distortion, cut, pieces, fallbacks, steps, unwritable }, scale))
     }
 }
 
@@ -402,11 +421,6 @@ fn distortion_of(prepared: &Prepared, target: Target) -> f64 {
     if area > 0.0 { sum / area } else { 1.0 }
 }
 
-/// Length of the seams on the surface, each once, its boundary apart.
-fn seam_length(atlas: &Atlas) -> f64 {
-    super::optcuts::seam_length(atlas)
-}
-
 /// Length of the borders of all charts on the surface, each edge once.
 fn border_length(atlas: &Atlas) -> f64 {
     let topology = Topology::new(atlas);
@@ -420,8 +434,7 @@ fn efficiency(atlas: &Atlas) -> f64 {
     for page in 0..atlas.sheets.len() {
         let points =
             atlas.faces().filter(|f| usize::from(atlas.page[f.index()]) == page).flat_map(|f| atlas.uv_triangle(f));
-        let (low, high) = points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(a, b), p| (a.min(p), b.max(p)));
-        boxes += (high - low).max(DVec2::ZERO).element_product();
+        boxes += Bounds::around(points).size().element_product();
     }
     let charts = Charts::new(&Topology::new(atlas));
     let apart = clusters(atlas, &charts, OverlapMode::Separate);
@@ -431,6 +444,5 @@ fn efficiency(atlas: &Atlas) -> f64 {
 /// Sides of the box about the layout.
 fn bounds(atlas: &Atlas) -> DVec2 {
     let points = atlas.corners.iter().flatten().map(|u| atlas.uv[u.index()]);
-    let (low, high) = points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(a, b), p| (a.min(p), b.max(p)));
-    if low.is_finite() { high - low } else { DVec2::ONE }
+    Bounds::around(points).size()
 }

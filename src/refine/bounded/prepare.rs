@@ -5,13 +5,13 @@
 //! a map of its own (Tutte 1963, then the least distortion).
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BinaryHeap;
 
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::chart_map::ChartMap;
-use crate::atlas::groups::{DisjointSets, Grouped};
+use crate::atlas::groups::{Cost, DisjointSets, Grouped, sorted_unique};
 use crate::atlas::{
     Atlas, Charts, FaceId, HalfEdge, Loops, Mesh, Provenance, TrailEnd, TrailPoint, TrailStart, UvId, orientation,
 };
@@ -35,8 +35,6 @@ pub(super) struct Prepared {
     pub mesh: Mesh,
     pub labels: Labels,
     pub layout: Layout,
-    /// By UV vertex: where it was before charts were flattened anew.
-    uploaded: Vec<DVec2>,
     pub disks: Vec<Disk>,
     /// Charts that were cut to become disks, and those that were flattened anew.
     pub opened: usize,
@@ -75,7 +73,6 @@ impl Prepared {
             let Some((corner, direction, snap)) = self.across(d) else { continue };
             let cut = self.mesh.cut_trail(TrailStart::Corner(corner), direction, f64::INFINITY, snap);
             self.labels.extend(&cut.faces);
-            self.uploaded.extend_from_slice(&self.mesh.atlas().uv[self.uploaded.len()..]);
             any |= !cut.path.is_empty();
         }
         if any {
@@ -109,8 +106,7 @@ impl Prepared {
             along.push(along[along.len() - 1] + l);
         }
         let total = along[n];
-        let place: BTreeMap<UvId, usize> =
-            map.boundary.iter().enumerate().map(|(i, v)| (map.uvs[*v as usize], i)).collect();
+        let place = map.places();
         let snap = 1e-7 * total;
         let mut best: Option<(f64, HalfEdge, DVec2)> = None;
         for k in 0..TRIALS.min(n) {
@@ -145,9 +141,7 @@ impl Prepared {
         for (disk, is_out) in std::mem::take(&mut self.disks).into_iter().zip(is_out) {
             name.push(if *is_out { NO_DISK } else { kept.len() as u32 });
             if *is_out {
-                for u in disk.faces.iter().flat_map(|f| self.mesh.atlas().corners[f.index()]).collect::<Vec<_>>() {
-                    self.mesh.move_uv(u, self.uploaded[u.index()]);
-                }
+                self.layout.restore(&mut self.mesh, &self.labels, &disk.faces);
             } else {
                 kept.push(disk);
             }
@@ -189,6 +183,13 @@ pub(super) fn rest_shape(
     }
 }
 
+/// Whether a face has an area on the surface and in the layout that the stage was given.
+pub(super) fn had_area(atlas: &Atlas, layout: &Layout, labels: &Labels, face: FaceId) -> bool {
+    let uploaded = layout.of(labels.origin[face.index()], &atlas.provenance[face.index()]);
+    let any_way = |[a, b, c]: [DVec2; 3]| is_shape(&[a, b, c]) || is_shape(&[a, c, b]);
+    uploaded.is_some_and(any_way) && is_shape(&flattened(atlas.triangle(face)))
+}
+
 /// What is known of each face of a mesh while faces are divided.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Labels {
@@ -227,6 +228,15 @@ impl Layout {
             inverse.is_finite().then(|| [inverse.x_axis, inverse.y_axis, inverse.z_axis].map(column))
         };
         Layout(atlas.faces().map(of_face).collect())
+    }
+
+    /// Puts faces back to where they were.
+    pub fn restore(&self, mesh: &mut Mesh, labels: &Labels, faces: &[FaceId]) {
+        for f in faces {
+            let own = self.of(labels.origin[f.index()], &mesh.atlas().provenance[f.index()]);
+            let corners = mesh.atlas().corners[f.index()];
+            corners.into_iter().zip(own.into_iter().flatten()).for_each(|(u, at)| mesh.move_uv(u, at));
+        }
     }
 
     /// The triangle of a part of a face.
@@ -317,8 +327,7 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
         disks.push(Disk { faces, reversed, density, fresh, area });
     }
     let layout = Layout::new(atlas);
-    let uploaded = mesh.atlas().uv.clone();
-    let mut prepared = Prepared { mesh, labels, layout, uploaded, disks, opened, flattened: 0 };
+    let mut prepared = Prepared { mesh, labels, layout, disks, opened, flattened: 0 };
     // New maps where the uploaded ones fold.
     let fresh: Vec<usize> = (0..prepared.disks.len()).filter(|d| prepared.disks[*d].fresh).collect();
     prepared.flattened = fresh.len();
@@ -398,9 +407,7 @@ fn open_holes(mesh: &Mesh, held: &[bool]) -> Vec<Vec<HalfEdge>> {
             let total = |l: u32| loops.half_edges[l as usize].iter().map(|h| length(*h)).sum::<f64>();
             let longest = own.iter().copied().max_by(|a, b| total(*a).total_cmp(&total(*b)).then(b.cmp(a)))?;
             // Distances from the longest loop over the edges of the chart.
-            let mut uvs: Vec<UvId> = charts.faces[c].iter().flat_map(|f| mesh.atlas().corners[f.index()]).collect();
-            uvs.sort_unstable();
-            uvs.dedup();
+            let uvs = sorted_unique(charts.faces[c].iter().flat_map(|f| mesh.atlas().corners[f.index()]));
             let local = |u: UvId| uvs.partition_point(|x| *x < u);
             let mut on_loop = vec![u32::MAX; uvs.len()];
             for &l in own {
@@ -411,9 +418,9 @@ fn open_holes(mesh: &Mesh, held: &[bool]) -> Vec<Vec<HalfEdge>> {
             let mut heap = BinaryHeap::new();
             for u in (0..uvs.len()).filter(|u| on_loop[*u] == longest) {
                 distance[u] = 0.0;
-                heap.push(Reverse((Distance(0.0), u)));
+                heap.push(Reverse((Cost(0.0), u)));
             }
-            while let Some(Reverse((Distance(at), u))) = heap.pop() {
+            while let Some(Reverse((Cost(at), u))) = heap.pop() {
                 if at > distance[u] {
                     continue;
                 }
@@ -435,7 +442,7 @@ fn open_holes(mesh: &Mesh, held: &[bool]) -> Vec<Vec<HalfEdge>> {
                         if reached < distance[v] {
                             distance[v] = reached;
                             towards[v] = Some(h);
-                            heap.push(Reverse((Distance(reached), v)));
+                            heap.push(Reverse((Cost(reached), v)));
                         }
                     }
                 }
@@ -443,21 +450,6 @@ fn open_holes(mesh: &Mesh, held: &[bool]) -> Vec<Vec<HalfEdge>> {
             None
         })
         .collect()
-}
-
-/// A length that can be ordered.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Distance(f64);
-impl Eq for Distance {}
-impl PartialOrd for Distance {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Distance {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.0.total_cmp(&other.0)
-    }
 }
 
 /// Divides charts that are no disks into disks, face by face; gives how many charts that were.
@@ -527,9 +519,7 @@ fn is_disk(mesh: &Mesh, faces: &[FaceId]) -> bool {
     if boundary(mesh, faces).is_none() {
         return false;
     }
-    let mut uvs: Vec<UvId> = faces.iter().flat_map(|f| mesh.atlas().corners[f.index()]).collect();
-    uvs.sort_unstable();
-    uvs.dedup();
+    let uvs = sorted_unique(faces.iter().flat_map(|f| mesh.atlas().corners[f.index()]));
     let topology = mesh.topology();
     let all = || faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k)));
     let borders = all().filter(|h| topology.is_border(*h)).count();

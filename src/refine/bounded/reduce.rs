@@ -2,13 +2,15 @@
 
 use glam::DVec2;
 
+use crate::atlas::bvh::Bounds;
+use crate::atlas::groups::sorted_unique;
 use crate::error::Result;
 use crate::numeric::dirichlet::RestTriangle;
 use crate::numeric::newton::{self, Element, Workspace};
 use crate::numeric::scaffold::{raised, void_triangles};
 
 /// All charts on a sheet, as triangles over common vertices.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct PackedCharts {
     pub x: Vec<DVec2>,
     /// With positive areas.
@@ -24,11 +26,11 @@ pub(super) struct PackedCharts {
     /// The layer about each chart: triangles and their shape at rest, heavy.
     pub layer: Vec<([u32; 3], RestTriangle)>,
     /// Boxes that stay where they are, and are no part of the charts: what lies in them was not to be changed.
-    pub fixed: Vec<(DVec2, DVec2)>,
+    pub fixed: Vec<Bounds>,
     /// The same with the layer about them.
-    pub fixed_walls: Vec<(DVec2, DVec2)>,
-    /// Whether every chart has a layer, where they are to be apart.
-    pub has_layers: bool,
+    pub fixed_walls: Vec<Bounds>,
+    /// Whether a chart has no layer though they are to be apart.
+    pub lacks_layer: bool,
     /// Area that is covered in them.
     pub fixed_area: f64,
     /// Area of all triangles at rest.
@@ -71,25 +73,6 @@ const GROWING: usize = 6;
 /// Relative decrease of a step below which a round ends.
 const STILL: f64 = 1e-5;
 
-impl Default for PackedCharts {
-    fn default() -> Self {
-        PackedCharts {
-            x: Vec::new(),
-            triangles: Vec::new(),
-            rest: Vec::new(),
-            walls: Vec::new(),
-            border: Vec::new(),
-            segments: Vec::new(),
-            layer: Vec::new(),
-            fixed: Vec::new(),
-            fixed_walls: Vec::new(),
-            has_layers: true,
-            fixed_area: 0.0,
-            rest_area: 0.0,
-        }
-    }
-}
-
 impl PackedCharts {
     pub fn energy(&self) -> f64 {
         self.triangles.iter().zip(&self.rest).map(|(t, r)| r.energy(t.map(|v| self.x[v as usize]))).sum()
@@ -100,23 +83,22 @@ impl PackedCharts {
     }
 
     /// The box about all charts and all that stays.
-    pub fn bounds(&self) -> (DVec2, DVec2) {
-        let points = self.border.iter().map(|v| self.x[*v as usize]).chain(self.fixed.iter().flat_map(|b| [b.0, b.1]));
-        points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)))
+    pub fn bounds(&self) -> Bounds {
+        let own = Bounds::around(self.border.iter().map(|v| self.x[*v as usize]));
+        self.fixed.iter().fold(own, |all, b| all.union(*b))
     }
 
     /// The box about their layers too.
-    fn outer_bounds(&self) -> (DVec2, DVec2) {
-        let points = self.walls.iter().flatten().map(|v| self.x[*v as usize]);
-        let points = points.chain(self.fixed_walls.iter().flat_map(|b| [b.0, b.1]));
-        points.fold(self.bounds(), |(low, high), p| (low.min(p), high.max(p)))
+    fn outer_bounds(&self) -> Bounds {
+        let walls = Bounds::around(self.walls.iter().flatten().map(|v| self.x[*v as usize]));
+        self.fixed_walls.iter().fold(self.bounds().union(walls), |all, b| all.union(*b))
     }
 
     /// Whether charts are at least `gap` apart.
     pub fn are_apart(&self, gap: f64) -> bool {
         let own = self.segments.iter().map(|(s, c)| (s.map(|v| self.x[v as usize]), *c));
-        let fixed = self.fixed.iter().zip(u32::MAX - self.fixed.len() as u32..).flat_map(|((low, high), c)| {
-            let corners = [*low, DVec2::new(high.x, low.y), *high, DVec2::new(low.x, high.y)];
+        let fixed = self.fixed.iter().zip(u32::MAX - self.fixed.len() as u32..).flat_map(|(b, c)| {
+            let corners = corners(b);
             (0..4).map(move |k| ([corners[k], corners[(k + 1) % 4]], c))
         });
         super::layer::are_apart(&own.chain(fixed).collect::<Vec<_>>(), gap)
@@ -124,8 +106,7 @@ impl PackedCharts {
 
     /// Area of the charts over area of the box about them.
     pub fn efficiency(&self) -> f64 {
-        let (low, high) = self.bounds();
-        (self.area() + self.fixed_area) / (high - low).element_product()
+        (self.area() + self.fixed_area) / self.bounds().size().element_product()
     }
 }
 
@@ -142,16 +123,17 @@ pub(super) fn reduce(
     let mut energy = charts.energy();
     let mut taken = 0;
     // The box grows from what the charts need now to what the bound allows, and they press against each other before it does.
-    let (low, high) = charts.bounds();
-    let middle = 0.5 * (low + high);
+    let Bounds { min, max } = charts.bounds();
+    let middle = 0.5 * (min + max);
     // Smaller than at rest they expand, which packs them more tightly; larger, they would shrink away from each other. What has its distances keeps them.
     let scale = (SMALLER * charts.rest_area / charts.area()).sqrt();
     if charts.fixed.is_empty() && charts.layer.is_empty() && scale < 1.0 {
         charts.x.iter_mut().for_each(|p| *p = middle + (*p - middle) * scale);
         energy = charts.energy();
     }
-    let (low, high) = charts.bounds();
-    let size = high - low;
+    let size = charts.bounds().size();
+    // Where the bound is missed already, what there is is kept.
+    let efficiency = goal.efficiency.min(charts.efficiency());
     let mut good = (charts.x.clone(), energy);
     for round in 0..goal.rounds {
         if out_of_time() {
@@ -160,24 +142,24 @@ pub(super) fn reduce(
         let (inner, outer) = (charts.bounds(), charts.outer_bounds());
         let part = ((round + 1) as f64 / GROWING as f64).min(1.0);
         let area = SETTLED * charts.rest_area + charts.fixed_area;
-        let allowed = (area / goal.efficiency / size.element_product()).sqrt() * (1.0 - 5e-4);
+        let allowed = (area / efficiency / size.element_product()).sqrt() * (1.0 - 5e-4);
         let grown = 1.0 + part * (allowed - 1.0).max(0.0);
-        let extent = (outer.1 - middle).max(middle - outer.0);
-        let margin = (outer.1 - outer.0 - inner.1 + inner.0) * 0.5;
+        let extent = (outer.max - middle).max(middle - outer.min);
+        let margin = 0.5 * (outer.size() - inner.size());
         let half = (0.5 * size * grown + margin).max(extent * (1.0 + 1e-4));
-        let (low, high) = (middle - half, middle + half);
+        let sheet = Bounds { min: middle - half, max: middle + half };
         let mut gained = 0.0;
         for _ in 0..goal.steps {
             interrupt()?;
             let kept = charts.x.clone();
-            let Some(step) = step(charts, &free, low, high, &mut workspace) else { break };
+            let Some(step) = step(charts, &free, &sheet, &mut workspace) else { break };
             taken += 1;
             let mut halvings = 0;
-            while charts.efficiency() < goal.efficiency && halvings < HALVINGS {
+            while charts.efficiency() < efficiency && halvings < HALVINGS {
                 halvings += 1;
                 charts.x.iter_mut().zip(&kept).for_each(|(x, old)| *x = *old + (*x - *old) * 0.5);
             }
-            if charts.efficiency() < goal.efficiency {
+            if charts.efficiency() < efficiency {
                 charts.x = kept;
                 break;
             }
@@ -202,32 +184,29 @@ pub(super) fn reduce(
     Ok(Reduced { energy, steps: taken })
 }
 
+/// The corners of a box, counter-clockwise from the least.
+fn corners(b: &Bounds) -> [DVec2; 4] {
+    [b.min, DVec2::new(b.max.x, b.min.y), b.max, DVec2::new(b.min.x, b.max.y)]
+}
+
 /// One Newton step of all charts and the void between them in a box.
-fn step(
-    charts: &mut PackedCharts,
-    free: &[u32],
-    low: DVec2,
-    high: DVec2,
-    workspace: &mut Workspace,
-) -> Option<newton::Step> {
+fn step(charts: &mut PackedCharts, free: &[u32], sheet: &Bounds, workspace: &mut Workspace) -> Option<newton::Step> {
     let n = charts.x.len();
     // What stays is walled in, at places behind the charts' own.
     let mut walls = charts.walls.clone();
-    for (low, high) in &charts.fixed_walls {
+    for own in &charts.fixed_walls {
         let first = charts.x.len() as u32;
-        charts.x.extend([*low, DVec2::new(high.x, low.y), *high, DVec2::new(low.x, high.y)]);
+        charts.x.extend(corners(own));
         walls.extend((0..4).map(|k| [first + k, first + (k + 1) % 4]));
     }
     let placed = charts.x.len();
-    let mut points: Vec<u32> = walls.iter().flatten().copied().collect();
-    points.sort_unstable();
-    points.dedup();
+    let points = sorted_unique(walls.iter().flatten().copied());
     let mut local = vec![u32::MAX; placed];
     points.iter().enumerate().for_each(|(k, v)| local[*v as usize] = k as u32);
     let at: Vec<DVec2> = points.iter().map(|v| charts.x[*v as usize]).collect();
     walls.iter_mut().for_each(|w| *w = w.map(|v| local[v as usize]));
     let borders = walls.len();
-    let Some(void) = void_triangles(&at, &walls, borders, low, high) else {
+    let Some(void) = void_triangles(&at, &walls, borders, sheet.min, sheet.max) else {
         charts.x.truncate(n);
         return None;
     };
@@ -235,15 +214,16 @@ fn step(
     let layer = charts.layer.iter().map(|(corners, rest)| (corners, rest));
     let triangle = |(corners, rest): (&[u32; 3], &RestTriangle)| Element::Triangle { corners: *corners, rest: *rest };
     let mut elements: Vec<Element> = pairs.chain(layer).map(triangle).collect();
-    charts.x.extend([low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)]);
+    charts.x.extend(corners(sheet));
     let mean = charts.area() / charts.triangles.len().max(1) as f64;
     let least = NARROWEST * (mean * 4.0 / 3f64.sqrt()).sqrt();
     let weight = VOID_ENERGY / void.len().max(1) as f64;
     for t in void {
-        let corners = t.map(|v| points.get(v as usize).copied().unwrap_or((placed + v as usize - points.len()) as u32));
-        let shape = raised(corners.map(|v| charts.x[v as usize]), least);
+        let vertices =
+            t.map(|v| points.get(v as usize).copied().unwrap_or((placed + v as usize - points.len()) as u32));
+        let shape = raised(vertices.map(|v| charts.x[v as usize]), least);
         if let Some(rest) = RestTriangle::new(shape, weight) {
-            elements.push(Element::Triangle { corners, rest });
+            elements.push(Element::Triangle { corners: vertices, rest });
         }
     }
     let step = newton::step(&mut charts.x, &elements, free, workspace);

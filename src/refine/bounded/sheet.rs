@@ -6,11 +6,12 @@ use glam::DVec2;
 
 use super::chart_map::{WEIGHT, area, rest_triangle};
 use super::construct::Constructed;
-use super::cut::bounds;
 use super::layer::layer;
-use super::prepare::{Labels, NO_DISK, boundary, rest_shape};
+use super::prepare::{Labels, NO_DISK, boundary, had_area, rest_shape};
 use super::reduce::PackedCharts;
-use crate::atlas::{Atlas, Charts, FaceId, Mesh, OverlapMode, Topology, UvId, clusters, coverage, orientation};
+use crate::atlas::bvh::Bounds;
+use crate::atlas::groups::sorted_unique;
+use crate::atlas::{Atlas, Charts, FaceId, Mesh, OverlapMode, Topology, clusters, coverage, orientation};
 use crate::error::Warning;
 use crate::numeric::dirichlet::RestTriangle;
 use crate::numeric::repair::repair_inversions;
@@ -34,8 +35,7 @@ pub(super) struct Piece {
     pub faces: Vec<FaceId>,
     /// Whether it stays in its shape.
     pub is_rigid: bool,
-    pub low: DVec2,
-    pub high: DVec2,
+    pub bounds: Bounds,
     /// Where its box lies, and whether it is turned by a quarter.
     pub at: DVec2,
     pub turned: bool,
@@ -43,20 +43,20 @@ pub(super) struct Piece {
 
 impl Piece {
     fn new(mesh: &Mesh, faces: Vec<FaceId>, is_rigid: bool) -> Self {
-        let (low, high) = bounds(mesh, &faces);
-        Piece { faces, is_rigid, low, high, at: DVec2::ZERO, turned: false }
+        let bounds = Bounds::around(faces.iter().flat_map(|f| mesh.atlas().uv_triangle(*f)));
+        Piece { faces, is_rigid, bounds, at: DVec2::ZERO, turned: false }
     }
 
     /// Sides of its box as it lies.
     fn size(&self) -> DVec2 {
-        let own = self.high - self.low;
+        let own = self.bounds.size();
         if self.turned { DVec2::new(own.y, own.x) } else { own }
     }
 
     /// Where a place of it comes to lie.
     fn place(&self, p: DVec2) -> DVec2 {
-        let own = p - self.low;
-        let own = if self.turned { DVec2::new(self.high.y - self.low.y - own.y, own.x) } else { own };
+        let own = p - self.bounds.min;
+        let own = if self.turned { DVec2::new(self.bounds.size().y - own.y, own.x) } else { own };
         self.at + own
     }
 }
@@ -68,8 +68,6 @@ pub(super) struct Packed {
     pub charts: PackedCharts,
     /// By UV vertex: its vertex among the charts'.
     pub name: Vec<u32>,
-    /// By disk: whether its faces have negative areas.
-    pub reversed: Vec<bool>,
 }
 
 /// Texels that must be free between two charts so that the gutter is: along an axis a texel more than the gutter has.
@@ -120,15 +118,14 @@ pub(super) fn pack(
         }
     }
     pieces.extend(rigid.into_values().map(|faces| Piece::new(mesh, faces, true)));
-    let sizes: Vec<DVec2> = pieces.iter().map(|p| p.high - p.low + padding).collect();
+    let sizes: Vec<DVec2> = pieces.iter().map(|p| p.bounds.size() + padding).collect();
     if let Some(packing) = RectanglePacker::default().pack(&sizes, request) {
         for (piece, place) in pieces.iter_mut().zip(packing.places) {
             (piece.at, piece.turned) = (place.at + 0.5 * padding, place.turned);
         }
     }
     let (charts, name) = charts_of(mesh, labels, constructed, &pieces, weights, gap);
-    let reversed = constructed.info.iter().map(|d| d.reversed).collect();
-    Packed { pieces, charts, name, reversed }
+    Packed { pieces, charts, name }
 }
 
 /// The parts that may change their shape, where they lie.
@@ -200,16 +197,15 @@ fn charts_of(
                 }
             }
             None => {
-                out.has_layers &= gap == 0.0;
+                out.lacks_layer |= gap > 0.0;
                 out.walls.extend(edges);
             }
         }
     }
     for piece in pieces.iter().filter(|p| p.is_rigid) {
-        let (low, high) = (piece.at, piece.at + piece.size());
-        let wide = DVec2::splat(0.5 * gap);
-        out.fixed.push((low, high));
-        out.fixed_walls.push((low - wide, high + wide));
+        let own = Bounds { min: piece.at, max: piece.at + piece.size() };
+        out.fixed.push(own);
+        out.fixed_walls.push(Bounds { min: own.min - 0.5 * gap, max: own.max + 0.5 * gap });
         let part = Atlas { page: vec![0; piece.faces.len()], ..atlas.subset(&piece.faces) };
         let charts = Charts::new(&Topology::new(&part));
         out.fixed_area += coverage(&part, &charts, &clusters(&part, &charts, OverlapMode::Separate)).covered;
@@ -218,8 +214,8 @@ fn charts_of(
 }
 
 /// Gives faces that 32 bits cannot hold where they lie a little area, by moving vertices inside their charts.
-pub(super) fn widen(mesh: &Mesh, labels: &Labels, packed: &mut Packed) {
-    if !unwritable(mesh, labels, packed, packed.reversed.len()).contains(&true) {
+pub(super) fn widen(mesh: &Mesh, labels: &Labels, constructed: &Constructed, packed: &mut Packed) {
+    if !unwritable(mesh, labels, constructed, packed).contains(&true) {
         return;
     }
     let charts = &mut packed.charts;
@@ -234,42 +230,38 @@ pub(super) fn widen(mesh: &Mesh, labels: &Labels, packed: &mut Packed) {
 }
 
 /// By disk: whether it has a face that 32 bits cannot hold where its parts lie.
-pub(super) fn unwritable(mesh: &Mesh, labels: &Labels, packed: &Packed, disks: usize) -> Vec<bool> {
-    let mut out = vec![false; disks];
-    let (low, high) = packed.charts.bounds();
-    let extent = (high - low).max_element();
-    let written = |p: DVec2| ((p - low) / extent * WRITTEN).round();
+pub(super) fn unwritable(mesh: &Mesh, labels: &Labels, constructed: &Constructed, packed: &Packed) -> Vec<bool> {
+    let mut out = vec![false; constructed.disks.len()];
+    let bounds = packed.charts.bounds();
+    let written = |p: DVec2| ((p - bounds.min) / bounds.size().max_element() * WRITTEN).round();
     for piece in packed.pieces.iter().filter(|p| !p.is_rigid) {
         for f in &piece.faces {
             let [a, b, c] =
                 mesh.atlas().corners[f.index()].map(|u| packed.charts.x[packed.name[u.index()] as usize]).map(written);
-            let is_out = if orientation(a, b, c) == 0 {
-                true
-            } else {
-                (orientation(a, b, c) < 0) != packed.reversed[labels.disk[f.index()] as usize]
-            };
-            out[labels.disk[f.index()] as usize] |= is_out;
+            let disk = labels.disk[f.index()] as usize;
+            let info = &constructed.info[disk];
+            // What never had an area has none to lose.
+            if !had_area(mesh.atlas(), &constructed.layout, labels, *f) {
+                continue;
+            }
+            let right = if info.reversed { -1 } else { 1 };
+            out[disk] |= orientation(a, b, c).signum() != right;
         }
     }
     out
 }
 
-/// The Atlas with its parts where they have been packed, on a sheet of its own.
-pub(super) fn assemble(input: &StageInput<'_>, mesh: &Mesh, packed: &Packed) -> Atlas {
+/// The Atlas with its parts where they have been packed, on a sheet of its own, and by what it had to be scaled for that.
+pub(super) fn assemble(input: &StageInput<'_>, mesh: &Mesh, packed: &Packed) -> (Atlas, f64) {
     let mut next = mesh.atlas().clone();
-    let (low, high) = packed.charts.bounds();
+    let bounds = packed.charts.bounds();
     let options = input.options;
     let unit = f64::from(input.sheet_info.unit);
     let gutter = f64::from(input.sheet_info.gutter(&options.pack));
     let margin = if gutter > 0.0 { (gutter / 2.0).ceil().max(1.0) * unit } else { 0.0 };
-    let size = high - low;
-    let room = DVec2::splat(2.0 * margin);
-    let (scale, sheet) = sheet_size(input, size, room);
+    let (scale, sheet) = sheet_size(input, bounds.size(), DVec2::splat(2.0 * margin));
     for piece in packed.pieces.iter().filter(|p| p.is_rigid) {
-        let mut uvs: Vec<UvId> = piece.faces.iter().flat_map(|f| next.corners[f.index()]).collect();
-        uvs.sort_unstable();
-        uvs.dedup();
-        for u in uvs {
+        for u in sorted_unique(piece.faces.iter().flat_map(|f| next.corners[f.index()])) {
             next.uv[u.index()] = piece.place(next.uv[u.index()]);
         }
     }
@@ -279,12 +271,12 @@ pub(super) fn assemble(input: &StageInput<'_>, mesh: &Mesh, packed: &Packed) -> 
         }
     }
     for uv in &mut next.uv {
-        *uv = ((*uv - low) * scale + margin).max(DVec2::ZERO);
+        *uv = ((*uv - bounds.min) * scale + margin).max(DVec2::ZERO);
     }
     next.page.fill(0);
     next.sheets = vec![sheet];
     next.drop_unused_uvs();
-    next
+    (next, scale)
 }
 
 /// Scale of the layout and sides of its sheet, for a box of this size and what is to be free about it.

@@ -27,7 +27,7 @@ pub(super) fn flattened_edges(mesh: &Mesh, map: &ChartMap, targets: &[i32]) -> V
     map.boundary.iter().enumerate().for_each(|(i, v)| place[*v as usize] = i);
     let faces_on = map.faces_on_boundary();
     let mut out = Vec::new();
-    for (f, face) in map.faces.iter().enumerate() {
+    for face in &map.faces {
         for k in 0..3 {
             let h = HalfEdge::of(*face, k);
             let Some(twin) = mesh.topology().uv_twin(h) else { continue };
@@ -46,7 +46,6 @@ pub(super) fn flattened_edges(mesh: &Mesh, map: &ChartMap, targets: &[i32]) -> V
                 out.push(h.min(twin));
             }
         }
-        debug_assert!(f < map.triangles.len());
     }
     out.sort_unstable();
     out.dedup();

@@ -32,19 +32,6 @@ fn keep(atlas: &Atlas, wanted: impl Fn(DVec2) -> bool) -> Atlas {
     next
 }
 
-fn sheet_info() -> SheetInfo {
-    SheetInfo {
-        id: 0,
-        reference: [100, 100],
-        unit: 1,
-        mipmaps: false,
-        is_virtual: true,
-        animated: false,
-        directions: false,
-        joined: false,
-    }
-}
-
 fn options(gutter: u32) -> Options {
     let mut options = Options::default();
     options.pack.gutter = Gutter::Texels(gutter);
@@ -71,7 +58,7 @@ fn cut(
 }
 
 fn run_with(atlas: &Atlas, params: &BoxCutter, weights: Option<&[[f64; 3]]>, options: &Options) -> Staged {
-    let staged = cut(atlas, &sheet_info(), weights, params, options, &Context::silent()).unwrap();
+    let staged = cut(atlas, &SheetInfo::plain(), weights, params, options, &Context::silent()).unwrap();
     check(atlas, &staged.atlas, Exactness::Exact).unwrap();
     let charts = Charts::new(&Topology::new(&staged.atlas));
     let left = overlaps(&staged.atlas, &charts, 10);
@@ -113,7 +100,7 @@ fn every_limit_is_kept_and_named() {
     assert!(["work_budget", "no_improvement"].contains(&fourth.stopped_by), "{}", fourth.stopped_by);
     assert!(efficiency(&fourth.atlas) >= efficiency(&third.atlas));
     let context = Context::silent().with_time_limit(Some(std::time::Duration::ZERO));
-    let fifth = cut(&atlas, &sheet_info(), None, &BoxCutter::default(), &options(0), &context).unwrap();
+    let fifth = cut(&atlas, &SheetInfo::plain(), None, &BoxCutter::default(), &options(0), &context).unwrap();
     assert_eq!((fifth.stopped_by, figure(&fifth, "cuts")), ("time_limit", 0.0));
 }
 
@@ -126,7 +113,7 @@ fn cuts_along_edges_split_no_triangle() {
     assert!(charts(&staged) >= 2);
     let grown = border(&staged.atlas) / border(&atlas);
     assert!((grown - figure(&staged, "boundary_length_ratio")).abs() < 1e-6);
-    let animated = SheetInfo { animated: true, ..sheet_info() };
+    let animated = SheetInfo { animated: true, ..SheetInfo::plain() };
     let auto = BoxCutter { cuts: Cuts::Auto, ..params };
     let staged = cut(&atlas, &animated, None, &auto, &options(0), &Context::silent()).unwrap();
     assert_eq!(staged.atlas.face_count(), atlas.face_count(), "skinned and morphed surfaces are cut along edges");
@@ -190,7 +177,7 @@ fn shared_charts_stay_together_and_are_held_back() {
     let atlas = join(&l, &l);
     let mut options = options(0);
     options.atlas.overlaps = OverlapMode::Stack;
-    let staged = cut(&atlas, &sheet_info(), None, &BoxCutter::default(), &options, &Context::silent()).unwrap();
+    let staged = cut(&atlas, &SheetInfo::plain(), None, &BoxCutter::default(), &options, &Context::silent()).unwrap();
     assert_eq!(figure(&staged, "held_back"), 1.0);
     assert_eq!(staged.atlas.face_count(), atlas.face_count());
     let half = l.face_count();
@@ -204,7 +191,7 @@ fn shared_charts_stay_together_and_are_held_back() {
 fn a_gutter_stays_free_between_the_panels() {
     let atlas = corner(24, 6);
     let params = BoxCutter { max_boundary_length: Some(1.5), ..BoxCutter::default() };
-    let staged = cut(&atlas, &sheet_info(), None, &params, &options(2), &Context::silent()).unwrap();
+    let staged = cut(&atlas, &SheetInfo::plain(), None, &params, &options(2), &Context::silent()).unwrap();
     let charts = Charts::new(&Topology::new(&staged.atlas));
     assert!(charts.len() >= 2);
     let points = |c: &[FaceId]| c.iter().flat_map(|f| staged.atlas.uv_triangle(*f)).collect::<Vec<_>>();

@@ -9,8 +9,7 @@ use std::collections::BinaryHeap;
 
 use glam::{DVec2, DVec3};
 
-use super::start::Cost;
-use crate::atlas::groups::DisjointSets;
+use crate::atlas::groups::{Cost, DisjointSets};
 use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Provenance, Surface, Topology, UvId, VertexId, seams};
 
 /// Height over longest edge up to which a face has no area in double precision.

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::operations::Operation;
 use super::search::{BORDER_PART, SLACK, Search};
-use super::start::Cost;
+use crate::atlas::groups::Cost;
 use crate::error::Result;
 
 impl Search<'_> {

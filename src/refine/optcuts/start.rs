@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use glam::DVec2;
 
 use super::cut_map::CutMap;
-use crate::atlas::groups::DisjointSets;
+use crate::atlas::groups::{Cost, DisjointSets};
 use crate::atlas::{Charts, HalfEdge, Loops, UvId};
 use crate::error::Result;
 use crate::numeric::tutte;
@@ -14,21 +14,6 @@ use crate::numeric::tutte;
 /// Rounds of cutting, and those without a better map after which the best will do.
 const ROUNDS: usize = 200;
 const PATIENCE: usize = 10;
-
-/// A cost that can be ordered.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Cost(pub f64);
-impl Eq for Cost {}
-impl PartialOrd for Cost {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Cost {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.0.total_cmp(&other.0)
-    }
-}
 
 /// Cuts the surface open where it must be, and embeds it; as long as its E_d is more than `enough`, it is cut from the border to the extremum (Gu et al. 2002)
 /// and embedded anew, which is much less work than to improve a bad map. `None` where it cannot be embedded.

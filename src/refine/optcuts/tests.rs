@@ -11,25 +11,12 @@ use crate::context::Context;
 use crate::refine::options::{IfLarger, Options};
 use crate::refine::stage::SheetInfo;
 
-fn sheet_info(is_virtual: bool) -> SheetInfo {
-    SheetInfo {
-        id: 0,
-        reference: [100, 100],
-        unit: 1,
-        mipmaps: false,
-        is_virtual,
-        animated: false,
-        directions: false,
-        joined: false,
-    }
-}
-
 fn run(atlas: &Atlas, params: &OptCuts, is_virtual: bool) -> (Staged, Vec<String>) {
     let mut options = Options::default();
     options.atlas.if_larger = IfLarger::Accept;
     options.work_budget = Some(100_000);
     let context = Context::silent();
-    let info = sheet_info(is_virtual);
+    let info = SheetInfo { is_virtual, ..SheetInfo::plain() };
     let input = StageInput { atlas, sheet_info: &info, importance: None, options: &options, context: &context };
     let staged = optcuts(&input, params).unwrap();
     assert_eq!(check(atlas, &staged.atlas, Exactness::Exact), Ok(()));
