@@ -17,6 +17,7 @@ mod line_cutter;
 mod mesh;
 pub(crate) mod overlap;
 pub(crate) mod rigid;
+pub(crate) mod rounding;
 pub(crate) mod seams;
 #[cfg(test)]
 pub(crate) mod testing;

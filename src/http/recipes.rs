@@ -281,7 +281,7 @@ mod tests {
         let stage = of("stages", "stage");
         let by = &stage["parameters"]["properties"]["by"];
         assert_eq!((&stage["parameters_at"], &by["minimum"], &by["maximum"]), (&Value::Null, &json!(1), &json!(64)));
-        assert_eq!(listing["options"]["default"]["nudge"], json!({"by": 1, "breaks": false}));
+        assert_eq!(listing["options"]["default"]["nudge"], json!({"by": 1, "breaks": false, "spoils": false}));
 
         // In the OpenAPI document: its parameters, their section in the options, and the stage in a recipe.
         let contract = serde_json::to_value(crate::http::router::openapi()).unwrap();
@@ -315,7 +315,7 @@ mod tests {
             told,
             [
                 "no recipe or stage is called `nudg`; did you mean `nudge`?",
-                "unknown option `buy`; known here: by, breaks",
+                "unknown option `buy`; known here: by, breaks, spoils",
                 "`by` is 65, outside 1..=64",
             ]
         );

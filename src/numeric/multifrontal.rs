@@ -13,6 +13,10 @@ pub(crate) const FIXED: u32 = u32::MAX;
 
 /// Most vertices of a part that is not halved any more.
 const LEAF: usize = 20;
+/// Separators longer than this, in units of the square root of what they separate, are worth a search for shorter ones.
+const WIDE: f64 = 2.5;
+/// Mark of what separates two halves.
+const SEPARATES: u32 = u32::MAX;
 
 /// A dense front: what is eliminated together, and all that these touch.
 #[derive(Debug, Clone)]
@@ -355,26 +359,115 @@ impl Dissection<'_> {
             high = high.max(self.at[v as usize]);
         }
         let across = (high - low).y > (high - low).x;
+        let middle = self.halve(vertices, across);
+        let mut separator: Vec<u32> = vertices[..middle].iter().copied().filter(|v| self.is_beside(*v)).collect();
+        if separator.len() as f64 > WIDE * (vertices.len() as f64).sqrt() {
+            // Where long triangles cross the line, few of their corners may do; or another line.
+            let own = self.cover(&separator);
+            self.halve(vertices, !across);
+            let beside: Vec<u32> = vertices[..middle].iter().copied().filter(|v| self.is_beside(*v)).collect();
+            let other = self.cover(&beside);
+            separator = if other.len() < own.len() {
+                other
+            } else {
+                self.halve(vertices, across);
+                own
+            };
+        }
+        // What separates goes to the end of its half, and is no part of it.
+        separator.iter().for_each(|v| self.side[*v as usize] = SEPARATES);
+        let side = &self.side;
+        let kept = |half: &mut [u32]| {
+            let mut kept = 0;
+            for k in 0..half.len() {
+                if side[half[k] as usize] != SEPARATES {
+                    half.swap(kept, k);
+                    kept += 1;
+                }
+            }
+            kept
+        };
+        let (lower, upper) = vertices.split_at_mut(middle);
+        let counts = [kept(lower), kept(upper)];
+        separator.iter().for_each(|v| self.side[*v as usize] = 0);
+        self.part(&mut lower[..counts[0]]);
+        self.part(&mut upper[..counts[1]]);
+        separator.sort_unstable();
+        self.take(&separator);
+    }
+
+    /// Puts the lower half of some vertices along an axis before the upper one, which is marked; gives where that begins.
+    fn halve(&mut self, vertices: &mut [u32], across: bool) -> usize {
         let key = |v: u32| if across { self.at[v as usize].y } else { self.at[v as usize].x };
         let middle = vertices.len() / 2;
         vertices.select_nth_unstable_by(middle, |&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
         self.round += 1;
-        let round = self.round;
-        vertices[middle..].iter().for_each(|&v| self.side[v as usize] = round);
-        let (lower, upper) = vertices.split_at_mut(middle);
-        // Those of the lower half with a neighbour in the upper one go to the end.
-        let mut kept = 0;
-        for k in 0..lower.len() {
-            if !self.graph.of(lower[k]).iter().any(|&u| self.side[u as usize] == round) {
-                lower.swap(kept, k);
-                kept += 1;
+        vertices[middle..].iter().for_each(|&v| self.side[v as usize] = self.round);
+        middle
+    }
+
+    /// Whether a vertex has a neighbour in the upper half.
+    fn is_beside(&self, v: u32) -> bool {
+        self.graph.of(v).iter().any(|&u| self.side[u as usize] == self.round)
+    }
+
+    /// The fewest vertices of both halves that hold all edges between them (König 1931), `lower` being those of the lower half that have any.
+    fn cover(&self, lower: &[u32]) -> Vec<u32> {
+        let across = |v: u32| {
+            let mut own: Vec<u32> =
+                self.graph.of(v).iter().copied().filter(|&u| self.side[u as usize] == self.round).collect();
+            own.sort_unstable();
+            own.dedup();
+            own
+        };
+        let edges: Vec<Vec<u32>> = lower.iter().map(|v| across(*v)).collect();
+        let upper = sorted_unique(edges.iter().flatten().copied());
+        let edges: Vec<Vec<usize>> =
+            edges.into_iter().map(|own| own.into_iter().map(|u| upper.partition_point(|x| *x < u)).collect()).collect();
+        // A largest matching, by augmenting paths.
+        let mut mate_of_upper: Vec<Option<usize>> = vec![None; upper.len()];
+        let mut mate_of_lower: Vec<Option<usize>> = vec![None; lower.len()];
+        let mut seen = vec![usize::MAX; upper.len()];
+        for root in 0..lower.len() {
+            // (vertex of the lower half, its next edge); what leads from one to the next is that edge.
+            let mut path = vec![(root, 0)];
+            while let Some((v, next)) = path.last_mut() {
+                let Some(&u) = edges[*v].get(*next) else {
+                    path.pop();
+                    continue;
+                };
+                *next += 1;
+                if std::mem::replace(&mut seen[u], root) == root {
+                    continue;
+                }
+                match mate_of_upper[u] {
+                    Some(other) => path.push((other, 0)),
+                    None => {
+                        for (v, next) in path.drain(..) {
+                            let u = edges[v][next - 1];
+                            mate_of_upper[u] = Some(v);
+                            mate_of_lower[v] = Some(u);
+                        }
+                    }
+                }
             }
         }
-        let (lower, separator) = lower.split_at_mut(kept);
-        self.part(lower);
-        self.part(upper);
-        separator.sort_unstable();
-        self.take(separator);
+        // What alternating paths reach from what has no mate: the cover is the rest of the lower and the reached of the upper half.
+        let mut reached_lower: Vec<bool> = mate_of_lower.iter().map(Option::is_none).collect();
+        let mut reached_upper = vec![false; upper.len()];
+        let mut stack: Vec<usize> = (0..lower.len()).filter(|v| reached_lower[*v]).collect();
+        while let Some(v) = stack.pop() {
+            for &u in &edges[v] {
+                if !std::mem::replace(&mut reached_upper[u], true)
+                    && let Some(mate) = mate_of_upper[u]
+                    && !std::mem::replace(&mut reached_lower[mate], true)
+                {
+                    stack.push(mate);
+                }
+            }
+        }
+        let own = lower.iter().zip(&reached_lower).filter(|(_, reached)| !**reached).map(|(v, _)| *v);
+        own.chain(upper.iter().zip(&reached_upper).filter(|(_, reached)| **reached).map(|(u, _)| *u)).collect()
     }
 
     fn take(&mut self, vertices: &[u32]) {
@@ -437,6 +530,27 @@ mod tests {
             let worst = b.iter().zip(&expected).map(|(x, y)| x.distance(*y)).fold(0.0, f64::max);
             assert!(worst < 1e-8, "{side}: {worst}");
         }
+    }
+
+    #[test]
+    fn long_triangles_make_no_large_fronts() {
+        // Fans about hubs, across all of the plane.
+        let mut rng = Rng(5);
+        let (hubs, count) = (12u32, 4000u32);
+        let mut at: Vec<DVec2> = (0..hubs).map(|k| DVec2::new(f64::from(k) * 80.0, 0.0)).collect();
+        let mut triangles = Vec::new();
+        for k in 0..count {
+            at.push(DVec2::new(f64::from(k) * 0.24, 30.0 + rng.unit()));
+            if k > 0 {
+                triangles.push([(k * 7) % hubs, hubs + k - 1, hubs + k]);
+            }
+        }
+        let structure = Structure::new(&at, &triangles);
+        let widest = structure.fronts.iter().map(Front::rows).max().unwrap();
+        assert!(widest < 60, "{widest}");
+        let mut order = structure.order.clone();
+        order.sort_unstable();
+        assert!(order.iter().zip(0..).all(|(v, k)| *v == k) && order.len() == at.len());
     }
 
     #[test]

@@ -1,19 +1,30 @@
 //! Nothing broken ships: every stage's result is checked, and so is what was written.
 
-use crate::atlas::{Atlas, Exactness, check};
+use crate::atlas::rounding::is_rounded;
+use crate::atlas::{Atlas, Exactness, Violation, check};
 use crate::context::Context;
 use crate::error::{Failure, Result};
 
 /// Rounding UVs to 32 bits moves them by so many texels at most, for each texel of the sheet's longest side.
 const ROUNDING: f64 = 1.2e-7;
 
-/// Checks a stage's result against the Atlas as uploaded; the inner error says what is wrong.
+/// Checks a stage's result against the Atlas as uploaded, and one that is rounded already as what is written; the inner error says what is wrong.
 ///
 /// # Errors
 /// `canceled`.
-pub(super) fn stage(before: &Atlas, after: &Atlas, context: &Context) -> Result<std::result::Result<(), String>> {
+pub(super) fn violations(
+    before: &Atlas,
+    after: &Atlas,
+    context: &Context,
+) -> Result<std::result::Result<(), Vec<Violation>>> {
     context.check()?;
-    Ok(verdict(before, after, Exactness::Exact))
+    Ok(check(before, after, if is_rounded(after) { rounded(after) } else { Exactness::Exact }))
+}
+
+/// What is wrong, in words.
+pub(super) fn told(violations: &[Violation]) -> String {
+    let first = violations.first().map(ToString::to_string).unwrap_or_default();
+    format!("{first} ({} in all)", violations.len())
 }
 
 /// Checks the Atlas that was read back from the written document.
@@ -22,14 +33,12 @@ pub(super) fn stage(before: &Atlas, after: &Atlas, context: &Context) -> Result<
 /// `internal` when it is broken, `canceled`.
 pub(super) fn written(before: &Atlas, after: &Atlas, context: &Context) -> Result<()> {
     context.check()?;
-    let longest = after.sheets.iter().flatten().copied().max().unwrap_or(1);
-    verdict(before, after, Exactness::Rounded(ROUNDING * f64::from(longest)))
-        .map_err(|text| Failure::internal(format!("the written model failed its check: {text}")))
+    check(before, after, rounded(after))
+        .map_err(|wrong| Failure::internal(format!("the written model failed its check: {}", told(&wrong))))
 }
 
-fn verdict(before: &Atlas, after: &Atlas, exactness: Exactness) -> std::result::Result<(), String> {
-    check(before, after, exactness).map_err(|violations| {
-        let first = violations.first().map(ToString::to_string).unwrap_or_default();
-        format!("{first} ({} in all)", violations.len())
-    })
+/// As texture coordinates of 32 bits are known.
+fn rounded(atlas: &Atlas) -> Exactness {
+    let longest = atlas.sheets.iter().flatten().copied().max().unwrap_or(1);
+    Exactness::Rounded(ROUNDING * f64::from(longest))
 }

@@ -8,6 +8,7 @@ mod deliver;
 pub mod erased;
 pub mod fabrication;
 mod formats;
+mod give_back;
 mod group;
 pub mod importance;
 mod load;

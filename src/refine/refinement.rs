@@ -1,7 +1,8 @@
 //! One Atlas on its way through the stages of a recipe.
 
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
+use super::give_back::give_back;
 use super::group::Group;
 use super::options::Options;
 use super::recipe::Step;
@@ -16,6 +17,9 @@ use crate::packing::{Gutter, Pack};
 
 /// Code of the warning that a stage broke an Atlas and was undone.
 pub(super) const STAGE_REVERTED: &str = "stage_reverted";
+
+/// Code of the warning that charts that a stage broke were given back.
+const CHARTS_GIVEN_BACK: &str = "charts_given_back";
 
 /// One group of texture sets on its way through the recipe.
 pub(super) struct Refinement<'a> {
@@ -53,13 +57,23 @@ impl<'a> Refinement<'a> {
             options: roomy.as_ref().unwrap_or(options),
             context,
         };
-        let Staged { atlas, stopped_by, figures, kept } = step.stage.run(&input)?;
+        let Staged { mut atlas, stopped_by, mut figures, kept } = step.stage.run(&input)?;
         let name = step.stage.name();
-        if let Err(violation) = check::stage(&set.atlas, &atlas, context)? {
-            let message = format!("{name} was undone for atlas {}: {violation}", sheet_info.id);
-            context.warn(Warning::new(STAGE_REVERTED, message));
-            self.ran(name, "reverted", figures);
-            return Ok(());
+        if let Err(wrong) = check::violations(&set.atlas, &atlas, context)? {
+            let (id, what) = (sheet_info.id, check::told(&wrong));
+            let Some(mended) = give_back(&input, &set.atlas, atlas, wrong)? else {
+                let message = format!("{name} was undone for atlas {id}: {what}");
+                context.warn(Warning::new(STAGE_REVERTED, message));
+                self.ran(name, "reverted", figures);
+                return Ok(());
+            };
+            let message = format!(
+                "{} charts of atlas {id} lie as they were uploaded, packed with the rest: after {name} they would have been broken ({what})",
+                mended.charts
+            );
+            context.warn(Warning::new(CHARTS_GIVEN_BACK, message));
+            figures.insert("charts_given_back".to_owned(), json!(mended.charts));
+            atlas = mended.atlas;
         }
         let pixels = |a: &Atlas| a.sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
         if step.only_if_smaller && pixels(&atlas) >= pixels(&self.atlas) {

@@ -86,6 +86,17 @@ fn a_stage_that_breaks_an_atlas_is_undone() {
     assert_eq!(broken.report["stages"][0], json!({"stage": "nudge", "atlas_id": 0, "stopped_by": "reverted", "by": 1}));
     assert_eq!(model(&broken).json, document(uploaded("textured")).json, "the model is as it was");
 
+    // A chart that is spoilt is given back, and packed with the others, which keep what was made of them.
+    let (mended, warnings) = of(json!([{"stage": "nudge", "spoils": true}]));
+    assert_eq!(warnings.iter().map(|w| w.code.as_str()).collect::<Vec<_>>(), ["charts_given_back"]);
+    assert!(warnings[0].message.starts_with("1 charts of atlas 0 lie as they were uploaded"), "{warnings:?}");
+    assert_eq!(
+        mended.report["stages"][0],
+        json!({"stage": "nudge", "atlas_id": 0, "stopped_by": "done", "by": 1, "charts_given_back": 1})
+    );
+    let (before, after) = (&mended.report["atlases"][0]["before"], &mended.report["atlases"][0]["after"]);
+    assert_eq!((&after["charts"], &after["overlap_fraction"]), (&before["charts"], &json!(0.0)));
+
     // What the others did before and after stays.
     let nudge = |by: u32| json!({"stage": "nudge", "by": by});
     let (whole, _) = of(json!([nudge(2), nudge(3)]));

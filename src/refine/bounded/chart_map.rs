@@ -13,6 +13,8 @@ use crate::numeric::newton::Element;
 pub(super) const WEIGHT: f64 = 0.25;
 /// Least weight of a face, in parts of the mean: faces without area count a little, so that they keep some shape.
 const LEAST_WEIGHT: f64 = 1e-4;
+/// Least length of a boundary edge at rest, in parts of the mean.
+const LEAST_LENGTH: f64 = 1e-2;
 
 /// A chart, its vertices numbered by themselves.
 #[derive(Debug, Clone)]
@@ -31,7 +33,7 @@ pub(super) struct ChartMap {
     pub boundary: Vec<u32>,
     /// Area of all faces at rest, in square texels.
     pub rest_area: f64,
-    /// Lengths of the boundary edges at rest.
+    /// Lengths of the boundary edges at rest, all above zero.
     pub rest_lengths: Vec<f64>,
     /// By how much it has been turned.
     pub turned: f64,
@@ -64,6 +66,9 @@ impl ChartMap {
                 scale * a.distance(b)
             })
             .collect();
+        // Edges without a length get a little, so that their ends can be told apart wherever lengths are laid out.
+        let least = LEAST_LENGTH * lengths.iter().sum::<f64>() / n.max(1) as f64;
+        let lengths: Vec<f64> = lengths.into_iter().map(|l| l.max(least)).collect();
         let mut boundary: Vec<u32> = boundary.iter().map(|h| local(mesh.uv_at(*h))).collect();
         if reversed {
             boundary.reverse();

@@ -9,6 +9,7 @@ use super::chart_map::ChartMap;
 use super::deform::{deform, flatten, runs};
 use super::prepare::{Disk, Labels, Layout, NO_DISK, Prepared, Target, embed};
 use super::subdivide::{flattened_edges, split_at_middles};
+use crate::atlas::groups::sorted_unique;
 use crate::atlas::{FaceId, HalfEdge, Mesh};
 use crate::error::Result;
 
@@ -227,28 +228,48 @@ fn subdivide(
         let edges: Vec<HalfEdge> = flat.iter().flat_map(|(_, e)| e.iter().copied()).collect();
         let made = split_at_middles(&mut own.mesh, &edges);
         own.labels.extend(&made);
+        let mut touched: Vec<usize> = Vec::new();
         for (new, _) in made {
             let d = own.labels.disk[new.index()];
             if d != NO_DISK {
                 own.disks[d as usize].faces.push(new);
+                touched.push(d as usize);
             }
         }
-        let again = |(d, _): &(usize, _)| {
-            let old = &aimed[*d].as_ref()?.map;
+        let touched = sorted_unique(touched);
+        // Others have the edges too where the surface is no manifold.
+        let again = |d: &usize| {
+            let Aimed { map: old, targets } = aimed[*d].as_ref()?;
             let mut map = own.map(&own.disks[*d], target)?;
             let first = old.uvs[old.boundary[0] as usize];
             let at = map.boundary.iter().position(|v| map.uvs[*v as usize] == first)?;
             map.boundary.rotate_left(at);
             map.rest_lengths.rotate_left(at);
             turn(&mut map, old.turned);
-            (map.boundary.len() == old.boundary.len()).then_some(map)
+            let targets = carried(old, targets, &map)?;
+            Some(Aimed { map, targets })
         };
-        let again: Vec<Option<ChartMap>> = flat.par_iter().map(again).collect();
-        for ((d, _), map) in flat.iter().zip(again) {
-            aimed[*d] = aimed[*d].take().and_then(|a| Some(Aimed { map: map?, ..a }));
+        let again: Vec<Option<Aimed>> = touched.par_iter().map(again).collect();
+        for (d, again) in touched.into_iter().zip(again) {
+            aimed[d] = again;
         }
     }
     Ok(())
+}
+
+/// Target angles for a boundary in which edges may have been divided; none where it is another one.
+fn carried(old: &ChartMap, targets: &[i32], map: &ChartMap) -> Option<Vec<i32>> {
+    if targets.is_empty() {
+        return Some(Vec::new());
+    }
+    let mut next = 0;
+    let mut out = Vec::with_capacity(map.boundary.len());
+    for v in &map.boundary {
+        let is_old = old.boundary.get(next).is_some_and(|o| old.uvs[*o as usize] == map.uvs[*v as usize]);
+        next += usize::from(is_old);
+        out.push(targets[next.checked_sub(1)?]);
+    }
+    (next == old.boundary.len()).then_some(out)
 }
 
 /// Turns a chart so that its boundary is as near to the axes as can be, and gives the target angles of its edges; none where there are too few.

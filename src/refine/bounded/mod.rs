@@ -27,7 +27,7 @@ use serde_json::{Map, Value, json};
 use self::construct::{Constructed, Construction, construct};
 use self::decomposition::{Goal, search};
 use self::params::{Bounded, Energy, Search};
-use self::prepare::{NO_DISK, Prepared, Target, prepare};
+use self::prepare::{NO_DISK, Prepared, Target, divide_fans, prepare};
 use self::reduce::{Reduction, reduce};
 use self::sheet::assemble;
 use super::box_cutter::box_cutter;
@@ -36,8 +36,9 @@ use super::optcuts::seam_length;
 use super::pack::{finished, lay_out};
 use super::stage::{StageInput, Staged};
 use crate::atlas::bvh::Bounds;
+use crate::atlas::rounding;
 use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, OverlapMode, Topology, clusters, coverage, overlaps, seams};
-use crate::error::{Result, Warning};
+use crate::error::{Failure, Result, Warning};
 use crate::packing::{Random, RectangleRequest};
 
 /// What corners cost in the constructions that are tried, in parts of the square root of a chart's area: few corners first.
@@ -53,15 +54,20 @@ const TIGHTEST: f64 = 0.985;
 const AS_GOOD: f64 = 5e-4;
 /// What more distortion than in the input counts, relative to it, in parts of the seams before.
 const WORSE: f64 = 40.0;
+/// Faces above which few attempts must do: constructions with many corners, which distort least.
+const LARGE: usize = 15_000;
 /// Vertices that steps may have moved before something more is tried.
 const WORK: u64 = 3_000_000;
 /// How often charts that cannot be made axis-aligned are halved.
 const HALVINGS: usize = 6;
-/// How often the gutter is made wider because the sheet makes the charts smaller.
+/// How often the gutter is made wider or narrower because the sheet makes the charts smaller or larger, and how much wider than asked for it may end.
 const SCALINGS: usize = 3;
+const TOO_WIDE: f64 = 1.04;
 /// Rounds of reduction, and steps in each.
 const ROUNDS: usize = 30;
 const STEPS: usize = 2;
+/// What parts are apart in any case, in steps of texture coordinates.
+const APART: f64 = 3.0;
 /// Widths of the box that are tried for each division, and for the final packing.
 const WIDTHS: usize = 5;
 const FINAL_WIDTHS: usize = 48;
@@ -133,13 +139,14 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
     let (before, best) = loop {
         let before = distortion_of(&prepared, target);
         // What cannot be made axis-aligned without being bent out of shape is halved until it can.
-        let mut first = job.construct(&prepared, 1, f64::INFINITY)?;
+        let corner = job.first_corner();
+        let mut first = job.construct(&prepared, corner, f64::INFINITY)?;
         for _ in 0..HALVINGS {
             let bent: Vec<usize> = first.bent().collect();
             if bent.is_empty() || context.out_of_time() || !prepared.halve(&bent) {
                 break;
             }
-            first = job.construct(&prepared, 1, f64::INFINITY)?;
+            first = job.construct(&prepared, corner, f64::INFINITY)?;
         }
         let best = job.best(&prepared, first, before, &mut work)?;
         // A chart whose faces 32 bits cannot hold stays as it was.
@@ -169,9 +176,17 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
     };
     let bound_met = best.efficiency >= bound;
     if !bound_met {
+        let most = squares(&prepared, sheet::gap(input));
+        let id = sheet_info.id;
+        let what = match most < 1.0 {
+            true => format!(
+                "; squares of its charts' areas with these gutters would reach {most:.4} (a larger texture.size or a smaller pack.gutter raises that)"
+            ),
+            false => String::new(),
+        };
         let text = format!(
-            "the packing efficiency of atlas {} is {:.4}; {bound} was asked for, and with its gutters no layout that was tried reaches that",
-            sheet_info.id, best.efficiency
+            "the packing efficiency of atlas {id} is {:.4}; {bound} was asked for, and no layout that was tried reaches that{what}",
+            best.efficiency
         );
         context.warn(Warning::new("bound_not_met", text));
     }
@@ -190,6 +205,7 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
         ("boundary_growth".to_owned(), json!(growth)),
         ("packing_efficiency".to_owned(), json!(best.efficiency)),
         ("bound_met".to_owned(), json!(bound_met)),
+        ("packing_efficiency_of_squares".to_owned(), json!(squares(&prepared, sheet::gap(input)))),
         ("distortion_before".to_owned(), json!(before)),
         ("distortion".to_owned(), json!(best.distortion)),
         ("pieces".to_owned(), json!(best.pieces)),
@@ -239,6 +255,15 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
+    fn is_large(&self) -> bool {
+        self.input.atlas.face_count() > LARGE && self.params.search != Search::Paper
+    }
+
+    /// The price of corners that is tried first.
+    fn first_corner(&self) -> usize {
+        if self.is_large() { 2 } else { 1 }
+    }
+
     /// All disks axis-aligned, corners at the price `CORNERS[corner]`.
     fn construct(&self, prepared: &Prepared, corner: usize, part: f64) -> Result<Constructed> {
         let how = Construction { sigma: self.params.sigma, corner: CORNERS[corner], target: self.target, part };
@@ -253,13 +278,18 @@ impl Job<'_> {
         let area: f64 = prepared.disks.iter().map(|d| d.area).sum();
         let goal = |slack: f64| (bound + slack).min(TIGHTEST.max(bound));
         let mut constructed: [Option<Constructed>; CORNERS.len()] = [const { None }; CORNERS.len()];
-        constructed[1] = Some(first);
+        constructed[self.first_corner()] = Some(first);
         let mut attempts: Vec<Attempt> = Vec::new();
         let is_good =
             |a: &Attempt| a.efficiency >= bound && a.distortion <= before * (1.0 + AS_GOOD) && a.unwritable.is_empty();
         let is_paper = params.search == Search::Paper;
         // In waves, so that what is tried does not depend on the number of threads.
-        let mut wave: Vec<usize> = if is_paper { vec![3] } else { vec![1, 3] };
+        let is_large = self.is_large();
+        let mut wave: Vec<usize> = match (is_paper, is_large) {
+            (true, _) => vec![3],
+            (_, true) => vec![4, 6],
+            _ => vec![1, 3],
+        };
         for round in 0..3 {
             for k in wave.iter().map(|k| LADDER[*k].0) {
                 if constructed[k].is_none() {
@@ -285,9 +315,14 @@ impl Job<'_> {
                 );
             }
             attempts.extend(made);
+            // Without what cannot be written it is another task.
+            if attempts.iter().any(|a| !a.unwritable.is_empty()) {
+                break;
+            }
             // What is large gets fewer tries.
             let spent: u64 = attempts.iter().map(Attempt::work).sum();
-            if is_paper || context.out_of_time() || spent >= self.input.options.work_budget.unwrap_or(WORK) {
+            if is_paper || is_large || context.out_of_time() || spent >= self.input.options.work_budget.unwrap_or(WORK)
+            {
                 break;
             }
             wave = match (round, good.as_slice()) {
@@ -300,11 +335,12 @@ impl Job<'_> {
         }
         // More parts than corners ask for, where the bound is missed.
         for part in PARTS {
-            if attempts.iter().any(|a| a.efficiency >= bound) || context.out_of_time() || prepared.disks.is_empty() {
+            let is_enough = |a: &Attempt| a.efficiency >= bound || !a.unwritable.is_empty();
+            if attempts.iter().any(is_enough) || context.out_of_time() || prepared.disks.is_empty() {
                 break;
             }
             context.step(0.9, "dividing further")?;
-            let constructed = self.construct(prepared, 1, part * area.sqrt())?;
+            let constructed = self.construct(prepared, self.first_corner(), part * area.sqrt())?;
             for slack in [0.01, 0.05] {
                 attempts.push(self.attempt(&constructed, goal(slack), before)?);
             }
@@ -331,16 +367,21 @@ impl Job<'_> {
     /// Divides the charts of a construction, packs the parts, and relaxes them. Where all is scaled to a sheet the gutter is not scaled with it.
     fn attempt(&self, constructed: &Constructed, goal: f64, before: f64) -> Result<Attempt> {
         let wanted = sheet::gap(self.input);
-        let (mut attempt, mut scale) = self.attempt_with_gap(constructed, goal, before, wanted)?;
         let mut gap = wanted;
-        for _ in 0..SCALINGS {
-            if gap * scale >= wanted * (1.0 - 1e-9) {
+        let mut kept = None;
+        for round in 0..=SCALINGS {
+            let (attempt, scale) = self.attempt_with_gap(constructed, goal, before, gap)?;
+            let is_wide = gap * scale >= wanted * (1.0 - 1e-9);
+            let is_done = is_wide && gap * scale <= wanted * TOO_WIDE;
+            if is_wide || kept.is_none() {
+                kept = Some(attempt);
+            }
+            if is_done || self.input.context.out_of_time() {
                 break;
             }
-            gap = 1.01 * wanted / scale;
-            (attempt, scale) = self.attempt_with_gap(constructed, goal, before, gap)?;
+            gap = (1.01 + 0.02 * round as f64) * wanted / scale;
         }
-        Ok(attempt)
+        kept.ok_or_else(|| Failure::internal("no attempt was made"))
     }
 
     /// An attempt with parts that are so far apart, and by what it had to be scaled for its sheet.
@@ -368,6 +409,8 @@ impl Job<'_> {
                 cut::cut_chart(&mut mesh, &own.map, &own.arrangement, division, &mut labels, d);
             }
         }
+        // What lies in two parts must not hang together.
+        divide_fans(&mut mesh, &[]);
         let final_request = RectangleRequest { widths: FINAL_WIDTHS, ..wanted.request };
         let mut packed = sheet::pack(&mesh, &labels, constructed, cluster, weights, [padding, gap], &final_request);
         let mut steps = 0;
@@ -377,7 +420,8 @@ impl Job<'_> {
                 efficiency: params.packing_efficiency,
                 // Weighted, the distortion is another measure than that of the input.
                 enough: if params.stop_at_input && weights.is_none() { before } else { 0.0 },
-                gap,
+                // Rounding must not bring together what is apart.
+                gap: gap.max(APART / rounding::STEPS * packed.charts.bounds().size().max_element()),
                 rounds: ROUNDS,
                 steps: STEPS,
             };
@@ -388,11 +432,13 @@ impl Job<'_> {
         let pieces = packed.pieces.len();
         let fallbacks = constructed.disks.iter().filter(|d| d.is_fallback).count();
         let cut = (seam_length(mesh.atlas()) - seams).max(0.0);
-        sheet::widen(&mesh, &labels, constructed, &mut packed);
-        let unwritable = sheet::unwritable(&mesh, &labels, constructed, &packed);
-        let unwritable =
-            constructed.number.iter().zip(unwritable).filter(|(_, is_out)| *is_out).map(|(k, _)| *k).collect();
-        let (atlas, scale) = assemble(input, &mesh, &packed);
+        let (mut atlas, mut scale) = assemble(input, &mesh, &packed);
+        let mut is_out = sheet::round(&mut atlas, &mesh, &labels, constructed, &packed);
+        if is_out.contains(&true) && sheet::widen(&mut packed) {
+            (atlas, scale) = assemble(input, &mesh, &packed);
+            is_out = sheet::round(&mut atlas, &mesh, &labels, constructed, &packed);
+        }
+        let unwritable = constructed.number.iter().zip(is_out).filter(|(_, is_out)| *is_out).map(|(k, _)| *k).collect();
         Ok((Attempt { atlas, efficiency, distortion, cut, pieces, fallbacks, steps, unwritable }, scale))
     }
 }
@@ -404,6 +450,15 @@ fn face_weights(input: &StageInput<'_>) -> Option<Vec<f64>> {
     let (sum, total) = input.atlas.faces().fold((0.0, 0.0), |(s, t), f| (s + own[f.index()] * area(f), t + area(f)));
     let mean = sum / total;
     (mean.is_finite() && mean > 0.0).then(|| own.iter().map(|w| w / mean).collect())
+}
+
+/// Packing efficiency of squares with the charts' areas, that far apart and without a loss beside: what is above it needs fewer charts, or more texels.
+fn squares(prepared: &Prepared, gap: f64) -> f64 {
+    let (area, boxes) = prepared
+        .disks
+        .iter()
+        .fold((0.0, 0.0), |(area, boxes), d| (area + d.area, boxes + (d.area.sqrt() + gap).powi(2)));
+    if boxes > 0.0 { area / boxes } else { 1.0 }
 }
 
 /// The distortion of all disks as they are, by their area.

@@ -5,12 +5,13 @@
 //! a map of its own (Tutte 1963, then the least distortion).
 
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BTreeSet, BinaryHeap};
 
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::chart_map::ChartMap;
+use crate::atlas::bvh::Bounds;
 use crate::atlas::groups::{Cost, DisjointSets, Grouped, sorted_unique};
 use crate::atlas::{
     Atlas, Charts, FaceId, HalfEdge, Loops, Mesh, Provenance, TrailEnd, TrailPoint, TrailStart, UvId, orientation,
@@ -307,6 +308,11 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
     let charts = Charts::new(mesh.topology());
     let mut disks = Vec::new();
     for faces in charts.faces.into_iter().filter(|faces| !held(faces[0])) {
+        // What is nowhere to be seen needs no texels, and may lie as it does.
+        if !faces.iter().any(|f| is_shape(&flattened(mesh.atlas().triangle(*f)))) {
+            shrink(&mut mesh, &faces);
+            continue;
+        }
         faces.iter().for_each(|f| labels.disk[f.index()] = disks.len() as u32);
         let atlas = mesh.atlas();
         let signs = faces.iter().map(|f| {
@@ -351,6 +357,19 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
     Ok(prepared)
 }
 
+/// Makes a chart small that has no area on the surface: no longer than a square of its area in the layout, or a texel.
+fn shrink(mesh: &mut Mesh, faces: &[FaceId]) {
+    let own = Bounds::around(faces.iter().flat_map(|f| mesh.atlas().uv_triangle(*f)));
+    let area: f64 = faces.iter().map(|f| mesh.atlas().uv_area(*f).abs()).sum();
+    let scale = area.sqrt().max(1.0) / own.size().max_element();
+    if scale.is_finite() && scale < 1.0 {
+        for u in sorted_unique(faces.iter().flat_map(|f| mesh.atlas().corners[f.index()])) {
+            let at = mesh.position(u);
+            mesh.move_uv(u, own.min + (at - own.min) * scale);
+        }
+    }
+}
+
 /// Texels by unit of the surface.
 fn density(atlas: &Atlas, faces: &[FaceId]) -> f64 {
     let (uv, area) = faces.iter().fold((0.0, 0.0), |(u, a), f| (u + atlas.uv_area(*f).abs(), a + atlas.area(*f)));
@@ -358,8 +377,8 @@ fn density(atlas: &Atlas, faces: &[FaceId]) -> f64 {
     if own.is_finite() && own > 0.0 { own } else { 1.0 }
 }
 
-/// UV vertices at which parts of a chart meet that hang together over no edge become one for each part.
-fn divide_fans(mesh: &mut Mesh, held: &[bool]) {
+/// UV vertices at which faces meet that hang together over no edge become one for each fan of faces.
+pub(super) fn divide_fans(mesh: &mut Mesh, held: &[bool]) {
     let held = |f: FaceId| held.get(f.index()).copied().unwrap_or(false);
     let mut parts = Vec::new();
     for uv in (0..mesh.atlas().uv.len()).map(UvId::new) {
@@ -476,6 +495,7 @@ fn grow_disks(mesh: &mut Mesh, held: &[bool]) -> usize {
             regions += 1;
             let mut queue = std::collections::VecDeque::from([seed]);
             let mut first = true;
+            let mut edges = BTreeSet::new();
             while let Some(f) = queue.pop_front() {
                 if taken[f] {
                     continue;
@@ -494,12 +514,14 @@ fn grow_disks(mesh: &mut Mesh, held: &[bool]) -> usize {
                 let joins = match shares.iter().filter(|s| **s).count() {
                     0 => first,
                     1 => (0..3).any(|k| shares[k] && !known[(k + 2) % 3]),
-                    2 => true,
+                    // The third edge is no second one between its ends.
+                    2 => (0..3).any(|k| !shares[k] && !edges.contains(&edge_of(mesh, half_edges[k]))),
                     _ => false,
                 };
                 if !joins {
                     continue;
                 }
+                edges.extend(half_edges.map(|h| edge_of(mesh, h)));
                 first = false;
                 taken[f] = true;
                 region[face.index()] = own;
@@ -514,7 +536,13 @@ fn grow_disks(mesh: &mut Mesh, held: &[bool]) -> usize {
     divided
 }
 
-/// Whether faces of one chart are a disk: one boundary loop, and no handle.
+/// The UV vertices of an edge, the lower first.
+fn edge_of(mesh: &Mesh, half_edge: HalfEdge) -> [UvId; 2] {
+    let [a, b] = mesh.uv_ends(half_edge);
+    [a.min(b), a.max(b)]
+}
+
+/// Whether faces of one chart are a disk that can be laid flat: one boundary loop, no handle, and no two edges between the same vertices.
 fn is_disk(mesh: &Mesh, faces: &[FaceId]) -> bool {
     if boundary(mesh, faces).is_none() {
         return false;
@@ -533,7 +561,9 @@ fn is_disk(mesh: &Mesh, faces: &[FaceId]) -> bool {
             sets.unite(a as u32, b as u32);
         }
     }
-    sets.numbered().1.len() == 1 && uvs.len() as i64 - edges as i64 + faces.len() as i64 == 1
+    // Two edges between the same vertices cannot both be straight without all between them collapsing.
+    let pairs = sorted_unique(all().map(|h| edge_of(mesh, h))).len();
+    pairs == edges && sets.numbered().1.len() == 1 && uvs.len() as i64 - edges as i64 + faces.len() as i64 == 1
 }
 
 /// Boundary edges of charts that have too few.
@@ -542,7 +572,7 @@ fn short_boundaries(mesh: &Mesh, held: &[bool]) -> Vec<HalfEdge> {
     let charts = Charts::new(mesh.topology());
     let topology = mesh.topology();
     let mut out = Vec::new();
-    for faces in charts.faces.iter().filter(|faces| !held(faces[0]) && faces.len() <= LEAST_EDGES) {
+    for faces in charts.faces.iter().filter(|faces| !held(faces[0])) {
         let all = faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k)));
         let own: Vec<HalfEdge> = all.filter(|h| topology.is_border(*h)).collect();
         if own.len() < LEAST_EDGES {

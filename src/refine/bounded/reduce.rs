@@ -104,6 +104,13 @@ impl PackedCharts {
         super::layer::are_apart(&own.chain(fixed).collect::<Vec<_>>(), gap)
     }
 
+    /// Whether there is a void about the charts: none touches another or itself.
+    pub fn has_void(&self) -> bool {
+        let Bounds { min, max } = self.outer_bounds();
+        let margin = 0.1 * (max - min).max_element();
+        Void::new(self, &Bounds { min: min - margin, max: max + margin }).is_some()
+    }
+
     /// Area of the charts over area of the box about them.
     pub fn efficiency(&self) -> f64 {
         (self.area() + self.fixed_area) / self.bounds().size().element_product()
@@ -189,27 +196,44 @@ fn corners(b: &Bounds) -> [DVec2; 4] {
     [b.min, DVec2::new(b.max.x, b.min.y), b.max, DVec2::new(b.min.x, b.max.y)]
 }
 
+/// The void about all charts in a box.
+struct Void {
+    /// Vertices that it has in common with charts and what stays; those of what stays have places behind the charts' own.
+    points: Vec<u32>,
+    /// Places of what stays.
+    fixed: Vec<DVec2>,
+    /// Of `points`, and beyond them of the corners of the box.
+    triangles: Vec<[u32; 3]>,
+}
+
+impl Void {
+    /// None where charts overlap or touch.
+    fn new(charts: &PackedCharts, sheet: &Bounds) -> Option<Void> {
+        let n = charts.x.len();
+        let mut walls = charts.walls.clone();
+        let mut fixed = Vec::with_capacity(4 * charts.fixed_walls.len());
+        for own in &charts.fixed_walls {
+            let first = (n + fixed.len()) as u32;
+            fixed.extend(corners(own));
+            walls.extend((0..4).map(|k| [first + k, first + (k + 1) % 4]));
+        }
+        let points = sorted_unique(walls.iter().flatten().copied());
+        let mut local = vec![u32::MAX; n + fixed.len()];
+        points.iter().enumerate().for_each(|(k, v)| local[*v as usize] = k as u32);
+        let at = points.iter().map(|v| charts.x.get(*v as usize).copied().unwrap_or_else(|| fixed[*v as usize - n]));
+        let at: Vec<DVec2> = at.collect();
+        walls.iter_mut().for_each(|w| *w = w.map(|v| local[v as usize]));
+        let triangles = void_triangles(&at, &walls, walls.len(), sheet.min, sheet.max)?;
+        Some(Void { points, fixed, triangles })
+    }
+}
+
 /// One Newton step of all charts and the void between them in a box.
 fn step(charts: &mut PackedCharts, free: &[u32], sheet: &Bounds, workspace: &mut Workspace) -> Option<newton::Step> {
     let n = charts.x.len();
-    // What stays is walled in, at places behind the charts' own.
-    let mut walls = charts.walls.clone();
-    for own in &charts.fixed_walls {
-        let first = charts.x.len() as u32;
-        charts.x.extend(corners(own));
-        walls.extend((0..4).map(|k| [first + k, first + (k + 1) % 4]));
-    }
+    let Void { points, fixed, triangles: void } = Void::new(charts, sheet)?;
+    charts.x.extend(fixed);
     let placed = charts.x.len();
-    let points = sorted_unique(walls.iter().flatten().copied());
-    let mut local = vec![u32::MAX; placed];
-    points.iter().enumerate().for_each(|(k, v)| local[*v as usize] = k as u32);
-    let at: Vec<DVec2> = points.iter().map(|v| charts.x[*v as usize]).collect();
-    walls.iter_mut().for_each(|w| *w = w.map(|v| local[v as usize]));
-    let borders = walls.len();
-    let Some(void) = void_triangles(&at, &walls, borders, sheet.min, sheet.max) else {
-        charts.x.truncate(n);
-        return None;
-    };
     let pairs = charts.triangles.iter().zip(&charts.rest);
     let layer = charts.layer.iter().map(|(corners, rest)| (corners, rest));
     let triangle = |(corners, rest): (&[u32; 3], &RestTriangle)| Element::Triangle { corners: *corners, rest: *rest };

@@ -11,7 +11,8 @@ use super::prepare::{Labels, NO_DISK, boundary, had_area, rest_shape};
 use super::reduce::PackedCharts;
 use crate::atlas::bvh::Bounds;
 use crate::atlas::groups::sorted_unique;
-use crate::atlas::{Atlas, Charts, FaceId, Mesh, OverlapMode, Topology, clusters, coverage, orientation};
+use crate::atlas::rounding::{Facing, round_uvs};
+use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Mesh, OverlapMode, Topology, clusters, coverage, orientation};
 use crate::error::Warning;
 use crate::numeric::dirichlet::RestTriangle;
 use crate::numeric::repair::repair_inversions;
@@ -22,8 +23,6 @@ use crate::texture::Size;
 
 /// Weight of the layer about charts, in units of its area's share.
 const STIFF: f64 = 4.0;
-/// Steps of texture coordinates in 32 bits, over a sheet.
-const WRITTEN: f64 = (1 << 22) as f64;
 /// Area of a face that is too small to be written, in parts of the mean, once it is widened.
 const WIDENED: f64 = 1e-4;
 /// How much wider the layer is than it must be.
@@ -114,7 +113,14 @@ pub(super) fn pack(
             let own = cluster[labels.origin[faces[0].index()].index()];
             rigid.entry((own, if own == NO_DISK { c } else { 0 })).or_default().extend(faces);
         } else {
-            pieces.push(Piece::new(mesh, faces, false));
+            // What has turned over cannot be relaxed.
+            let right = if constructed.info[labels.disk[faces[0].index()] as usize].reversed { -1 } else { 1 };
+            let is_turned = |f: &FaceId| {
+                let [a, b, c] = mesh.atlas().uv_triangle(*f);
+                orientation(a, b, c) != right
+            };
+            let is_rigid = faces.iter().any(is_turned);
+            pieces.push(Piece::new(mesh, faces, is_rigid));
         }
     }
     pieces.extend(rigid.into_values().map(|faces| Piece::new(mesh, faces, true)));
@@ -124,7 +130,16 @@ pub(super) fn pack(
             (piece.at, piece.turned) = (place.at + 0.5 * padding, place.turned);
         }
     }
-    let (charts, name) = charts_of(mesh, labels, constructed, &pieces, weights, gap);
+    let (mut charts, mut name) = charts_of(mesh, labels, constructed, &pieces, weights, [padding, gap]);
+    // Parts that lie on themselves keep their shape, so that there is a void about the others.
+    if !charts.has_void() {
+        for piece in pieces.iter_mut().filter(|p| !p.is_rigid) {
+            let own = std::slice::from_ref(piece);
+            let is_alone = charts_of(mesh, labels, constructed, own, weights, [padding, gap]).0.has_void();
+            piece.is_rigid = !is_alone;
+        }
+        (charts, name) = charts_of(mesh, labels, constructed, &pieces, weights, [padding, gap]);
+    }
     Packed { pieces, charts, name }
 }
 
@@ -135,7 +150,7 @@ fn charts_of(
     constructed: &Constructed,
     pieces: &[Piece],
     weights: Option<&[f64]>,
-    gap: f64,
+    [padding, gap]: [f64; 2],
 ) -> (PackedCharts, Vec<u32>) {
     let atlas = mesh.atlas();
     let mut out = PackedCharts::default();
@@ -165,7 +180,18 @@ fn charts_of(
             out.triangles.push(if reversed { [corners[0], corners[2], corners[1]] } else { corners });
             out.rest.push(rest);
         }
-        let Some(loop_) = boundary(mesh, &piece.faces) else { continue };
+        let Some(loop_) = boundary(mesh, &piece.faces) else {
+            // No disk any more: it has its borders, and no layer.
+            let all = piece.faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k)));
+            for h in all.filter(|h| mesh.topology().is_border(*h)) {
+                let [a, b] = mesh.uv_ends(h).map(|u| name[u.index()]);
+                out.border.push(a);
+                out.segments.push(([a, b], number));
+                out.walls.push(if reversed { [b, a] } else { [a, b] });
+            }
+            out.lacks_layer |= gap > 0.0;
+            continue;
+        };
         let mut around: Vec<u32> = loop_.iter().map(|h| name[mesh.uv_at(*h).index()]).collect();
         if reversed {
             around.reverse();
@@ -205,7 +231,9 @@ fn charts_of(
     for piece in pieces.iter().filter(|p| p.is_rigid) {
         let own = Bounds { min: piece.at, max: piece.at + piece.size() };
         out.fixed.push(own);
-        out.fixed_walls.push(Bounds { min: own.min - 0.5 * gap, max: own.max + 0.5 * gap });
+        // What has no width has a wall nevertheless.
+        let margin = (0.5 * gap).max(0.1 * padding);
+        out.fixed_walls.push(Bounds { min: own.min - margin, max: own.max + margin });
         let part = Atlas { page: vec![0; piece.faces.len()], ..atlas.subset(&piece.faces) };
         let charts = Charts::new(&Topology::new(&part));
         out.fixed_area += coverage(&part, &charts, &clusters(&part, &charts, OverlapMode::Separate)).covered;
@@ -213,39 +241,55 @@ fn charts_of(
     (out, name)
 }
 
-/// Gives faces that 32 bits cannot hold where they lie a little area, by moving vertices inside their charts.
-pub(super) fn widen(mesh: &Mesh, labels: &Labels, constructed: &Constructed, packed: &mut Packed) {
-    if !unwritable(mesh, labels, constructed, packed).contains(&true) {
-        return;
-    }
+/// Gives small faces a little area, by moving vertices inside their charts; false where that is not possible.
+pub(super) fn widen(packed: &mut Packed) -> bool {
     let charts = &mut packed.charts;
     let mut is_free = vec![true; charts.x.len()];
     charts.walls.iter().flatten().chain(&charts.border).for_each(|v| is_free[*v as usize] = false);
     let mean = charts.area() / charts.triangles.len().max(1) as f64;
     let areas = vec![mean; charts.triangles.len()];
     let mut x = charts.x.clone();
-    if repair_inversions(&charts.triangles, &areas, &is_free, WIDENED, &mut x) {
+    let is_done = repair_inversions(&charts.triangles, &areas, &is_free, WIDENED, &mut x);
+    if is_done {
         charts.x = x;
     }
+    is_done
 }
 
-/// By disk: whether it has a face that 32 bits cannot hold where its parts lie.
-pub(super) fn unwritable(mesh: &Mesh, labels: &Labels, constructed: &Constructed, packed: &Packed) -> Vec<bool> {
+/// Rounds texture coordinates to what 32 bits hold; gives by disk whether it has a face that they cannot hold where its parts lie.
+pub(super) fn round(
+    atlas: &mut Atlas,
+    mesh: &Mesh,
+    labels: &Labels,
+    constructed: &Constructed,
+    packed: &Packed,
+) -> Vec<bool> {
+    let mut facing = vec![Facing::NotAgainst(0); atlas.face_count()];
+    for piece in &packed.pieces {
+        let own = |f: FaceId| {
+            let [a, b, c] = atlas.uv_triangle(f);
+            orientation(a, b, c)
+        };
+        let most = piece.faces.iter().map(|f| atlas.uv_area(*f)).sum::<f64>();
+        for &f in &piece.faces {
+            facing[f.index()] = match constructed.info.get(labels.disk[f.index()] as usize) {
+                // What folds stays folded.
+                None if own(f) != 0 => Facing::NotAgainst(own(f)),
+                None => Facing::NotAgainst(if most < 0.0 { -1 } else { 1 }),
+                Some(disk) => {
+                    let right = if disk.reversed { -1 } else { 1 };
+                    // What never had an area has none to lose.
+                    let had = had_area(mesh.atlas(), &constructed.layout, labels, f);
+                    if had { Facing::Like(right) } else { Facing::NotAgainst(right) }
+                }
+            };
+        }
+    }
     let mut out = vec![false; constructed.disks.len()];
-    let bounds = packed.charts.bounds();
-    let written = |p: DVec2| ((p - bounds.min) / bounds.size().max_element() * WRITTEN).round();
-    for piece in packed.pieces.iter().filter(|p| !p.is_rigid) {
-        for f in &piece.faces {
-            let [a, b, c] =
-                mesh.atlas().corners[f.index()].map(|u| packed.charts.x[packed.name[u.index()] as usize]).map(written);
-            let disk = labels.disk[f.index()] as usize;
-            let info = &constructed.info[disk];
-            // What never had an area has none to lose.
-            if !had_area(mesh.atlas(), &constructed.layout, labels, *f) {
-                continue;
-            }
-            let right = if info.reversed { -1 } else { 1 };
-            out[disk] |= orientation(a, b, c).signum() != right;
+    for f in round_uvs(atlas, &facing) {
+        // What stays as it is was so before.
+        if let Some(own) = out.get_mut(labels.disk[f.index()] as usize) {
+            *own = true;
         }
     }
     out

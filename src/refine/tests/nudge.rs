@@ -12,8 +12,10 @@ params! {
     pub struct Nudge {
         /// How far the charts move to the right, in texels.
         pub by: u32 = 1, in 1..=64;
-        /// Whether it breaks the Atlas: a UV that is no number.
+        /// Whether it breaks the Atlas: a face without a page.
         pub breaks: bool = false;
+        /// Whether it spoils a chart: a UV that is no number.
+        pub spoils: bool = false;
     }
 }
 
@@ -31,6 +33,9 @@ impl Stage for Nudge {
             sheet[0] += self.by;
         }
         if self.breaks {
+            atlas.page.pop();
+        }
+        if self.spoils {
             atlas.uv[0] = DVec2::NAN;
         }
         let figures = Map::from_iter([("by".to_owned(), json!(self.by))]);
