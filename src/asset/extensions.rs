@@ -31,8 +31,10 @@ const MATERIALS: &str = "KHR_materials_";
 /// How an extension of a primitive stands to the primitive's layout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum OnPrimitive {
-    /// Not known: the primitive stays as it is.
+    /// Not known, and it names textures or texture coordinates: the primitive stays as it is.
     Unknown,
+    /// Not known, and nothing in it names textures or texture coordinates: it stays as long as the triangles are those that it was made for.
+    OfTriangles,
     /// It reads vertices, the TEXCOORD sets among them: they stay, and the new layout becomes a set beside them.
     ReadsLayout,
     /// It has nothing to do with the layout.
@@ -188,9 +190,27 @@ pub(crate) fn is_image_source(name: &str) -> bool {
     find(name).is_some_and(|e| e.image_source)
 }
 
-/// How an extension of a primitive stands to its layout.
-pub(crate) fn on_primitive(name: &str) -> OnPrimitive {
-    find(name).map_or(OnPrimitive::Unknown, |e| e.on_primitive)
+/// How an extension of a primitive, `value`, stands to its layout. One that is not in the table is asked what it names.
+pub(crate) fn on_primitive(name: &str, value: &Value) -> OnPrimitive {
+    match find(name).map(|e| e.on_primitive) {
+        Some(known) if known != OnPrimitive::Unknown => known,
+        _ if names_layout(value) => OnPrimitive::Unknown,
+        _ => OnPrimitive::OfTriangles,
+    }
+}
+
+/// Whether a key or a text in it names a texture or texture coordinates.
+fn names_layout(value: &Value) -> bool {
+    let is_layout = |text: &str| {
+        let text = text.to_ascii_lowercase();
+        ["texture", "texcoord", "image"].iter().any(|word| text.contains(word)) || text.starts_with("uv")
+    };
+    match value {
+        Value::String(text) => is_layout(text),
+        Value::Array(values) => values.iter().any(names_layout),
+        Value::Object(map) => map.iter().any(|(key, value)| is_layout(key) || names_layout(value)),
+        _ => false,
+    }
 }
 
 /// Every `extensions` of a document outside its extras.
@@ -266,7 +286,21 @@ mod tests {
     fn material_extensions_that_are_not_in_the_table_are_read() {
         assert!(is_read("KHR_materials_of_tomorrow") && is_understood("KHR_materials_of_tomorrow"));
         assert!(!is_read("ACME_materials") && !is_understood("ACME_materials"));
-        assert_eq!(on_primitive("KHR_materials_of_tomorrow"), OnPrimitive::Unknown);
+    }
+
+    #[test]
+    fn what_an_unknown_extension_of_a_primitive_names_decides() {
+        let bvh = json!({ "roots": [3], "index": { "bufferView": 7 }, "heuristic": "sah" });
+        assert_eq!(on_primitive("ACME_bvh", &bvh), OnPrimitive::OfTriangles);
+        for layout in [
+            json!({ "texture": 0 }),
+            json!({ "inner": [{ "attributes": { "TEXCOORD_1": 4 } }] }),
+            json!({ "reads": "TEXCOORD_0" }),
+            json!({ "uvScale": 2.0 }),
+        ] {
+            assert_eq!(on_primitive("ACME_paint", &layout), OnPrimitive::Unknown, "{layout}");
+        }
+        assert_eq!(on_primitive(VARIANTS, &json!({ "texture": 0 })), OnPrimitive::Independent);
     }
 
     #[test]

@@ -281,7 +281,7 @@ mod tests {
         let huge = json!({ "KHR_texture_transform": { "scale": [1e300, 1e300], "offset": [1e308, 0] } });
         assert_eq!(change(&format!("{info}/extensions"), huge), ["uv_out_of_range /images/0"]);
         let at = "/meshes/0/primitives/0/extensions";
-        assert_eq!(change(at, json!({ "X_y": {} })), [format!("primitive_extension {at}/X_y")]);
+        assert_eq!(change(at, json!({ "X_y": { "texture": 0 } })), [format!("primitive_extension {at}/X_y")]);
         let at = "/meshes/0/primitives/0/targets";
         assert_eq!(change(at, json!([{ "TEXCOORD_0": 2 }])), [format!("texcoord_morph {at}")]);
         let source = json!({ "MSFT_texture_dds": { "source": 1 } });

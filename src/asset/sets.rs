@@ -86,11 +86,11 @@ pub(crate) fn plan_unmapped(doc: &Document, index: &MaterialIndex) -> Option<Pla
     let unmapped = |primitive: &Primitive| {
         let Some(value) = doc.json.pointer(&primitive.pointer()) else { return false };
         let mut names = object(value, "attributes").into_iter().flat_map(|a| a.keys());
-        let mut extensions = object(value, "extensions").into_iter().flat_map(|e| e.keys());
+        let mut extensions = object(value, "extensions").into_iter().flatten();
         primitive.is_triangles()
             && primitive.positions.is_some()
             && !names.any(|name| name.starts_with("TEXCOORD_"))
-            && !extensions.any(|name| on_primitive(name) == OnPrimitive::Unknown)
+            && !extensions.any(|(name, own)| on_primitive(name, own) == OnPrimitive::Unknown)
             && !primitive.materials.iter().any(textured)
     };
     let layout = UvLayout::plain(0);
@@ -122,8 +122,8 @@ pub(crate) fn written_set(
     uv_set: UvSet,
 ) -> usize {
     let read_on = |u: &TextureUse| u.layout.uv_set == layout.uv_set && (u.layout != layout || u.role.is_none());
-    let independent = |name: &String| on_primitive(name) == OnPrimitive::Independent;
-    let extended = object(value, "extensions").is_some_and(|e| !e.keys().all(independent));
+    let reads = |(name, own): (&String, &serde_json::Value)| on_primitive(name, own) == OnPrimitive::ReadsLayout;
+    let extended = object(value, "extensions").is_some_and(|e| e.iter().any(reads));
     if uv_set == UvSet::New || extended || materials.iter().any(|&m| all_uses(index, m).iter().any(read_on)) {
         let names = object(value, "attributes").into_iter().flat_map(|a| a.keys());
         let last = names.filter_map(|n| n.strip_prefix("TEXCOORD_")?.parse::<usize>().ok()).max();
@@ -175,9 +175,11 @@ fn is_refinable(doc: &Document, primitive: &Primitive, uv_set: UvSet, context: &
     if !primitive.is_triangles() || primitive.positions.is_none() || !has_uvs {
         return false;
     }
-    let mut keys = object(value, "extensions").into_iter().flat_map(|e| e.keys());
-    if let Some(key) = keys.find(|k| on_primitive(k) == OnPrimitive::Unknown) {
-        let text = format!("the primitive is left as it is: its extension {key} is not supported");
+    let mut extensions = object(value, "extensions").into_iter().flatten();
+    if let Some((key, _)) = extensions.find(|(name, own)| on_primitive(name, own) == OnPrimitive::Unknown) {
+        let text = format!(
+            "the primitive is left as it is: its extension {key} is not known, and names textures or texture coordinates that a new layout would make wrong (remove the extension to have the primitive refined)"
+        );
         context.warn(Warning::new("primitive_extension", text).at(format!("{pointer}/extensions/{key}")));
         return false;
     }

@@ -1,4 +1,5 @@
 //! Crashes and wrong results that were found once, each with what happened.
 
 mod compressed_streams;
+mod extensions;
 mod layouts;

@@ -2,8 +2,10 @@
 
 use serde_json::Value;
 
-use crate::asset::extensions;
-use crate::asset::json::{array, array_mut, object};
+use crate::asset::extensions::{self, OnPrimitive};
+use crate::asset::json::{array, array_mut, object, object_mut};
+use crate::context::Context;
+use crate::error::{Result, Warning};
 
 /// Declares what is used now, and no longer what refining took out. What was declared without being used stays so.
 pub(super) fn declare(before: &Value, after: &mut Value) {
@@ -23,6 +25,28 @@ pub(super) fn declare(before: &Value, after: &mut Value) {
             }
         }
     }
+}
+
+/// Takes extensions from a primitive that were made for other triangles than it has now, and says so.
+///
+/// # Errors
+/// `internal` where there is no such primitive.
+pub(super) fn drop_of_triangles(json: &mut Value, pointer: &str, context: &Context) -> Result<()> {
+    let primitive = object_mut(json, pointer)?;
+    let all = primitive.get("extensions").and_then(Value::as_object).into_iter().flatten();
+    let stale = |(name, own): (&String, &Value)| {
+        (extensions::on_primitive(name, own) == OnPrimitive::OfTriangles).then(|| name.clone())
+    };
+    let stale: Vec<String> = all.filter_map(stale).collect();
+    extensions::retain(primitive, |name| !stale.iter().any(|s| s == name));
+    for name in stale {
+        let text = format!("the extension {name} is left out: it was made for triangles that are divided now");
+        context.warn(Warning::new("extension_dropped", text).at(pointer.to_owned()));
+        if !extensions::used(json).iter().any(|e| e.get(&name).is_some()) {
+            extensions::undeclare(json, &name);
+        }
+    }
+    Ok(())
 }
 
 fn add(json: &mut Value, key: &str, name: &str) {

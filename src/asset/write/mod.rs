@@ -97,8 +97,13 @@ pub fn write(doc: &Document, index: &MaterialIndex, sets: &[Refined<'_>], contex
         for (n, page) in pages(refined.atlas, &faces[s][p]).into_iter().enumerate() {
             let target = place(doc, &mut out, refined, p, n)?;
             let on_page = faces[s][p].iter().zip(&primitive.triangles);
-            let triangles = on_page.filter(|(f, _)| refined.atlas.page[f.index()] == page).map(|(_, t)| *t).collect();
+            let triangles: Vec<[u32; 3]> =
+                on_page.filter(|(f, _)| refined.atlas.page[f.index()] == page).map(|(_, t)| *t).collect();
+            let on_page_count = triangles.len();
             set_geometry(&mut out, &target, &refined.set.primitives[p], triangles, &primitive)?;
+            if on_page_count != refined.set.primitives[p].corners.len() {
+                extensions::drop_of_triangles(&mut out.json, &target, context)?;
+            }
             set_materials(doc, &mut out, &mut textures, &target, owner, usize::from(page))?;
         }
     }

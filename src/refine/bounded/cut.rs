@@ -1,4 +1,7 @@
-//! The chosen trails are cut (section 3.2, *Cutting*), through faces.
+//! The chosen trails are cut (section 3.2, *Cutting*): straight through faces, or along edges near them (section 4.1).
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
 
 use glam::DVec2;
 
@@ -8,7 +11,8 @@ use super::decomposition::Division;
 use super::deform::axis_direction;
 use super::prepare::Labels;
 use crate::atlas::bvh::Bounds;
-use crate::atlas::{HalfEdge, Mesh, TrailStart, UvId};
+use crate::atlas::groups::{Cost, sorted_unique};
+use crate::atlas::{FaceId, HalfEdge, Mesh, TrailStart, UvId};
 
 /// Distance from a trail, in parts of the chart's extent, within which a vertex is on it.
 const SNAP: f64 = 1e-9;
@@ -34,6 +38,107 @@ pub(super) fn cut_chart(
         labels.extend(&cut.faces);
         straighten(mesh, &cut.path, motorcycle.direction);
     }
+}
+
+/// What a path that leaves its trail costs, by the distance from it in parts of the trail's length; and one that ends beside its end.
+const ASIDE: f64 = 8.0;
+const BESIDE: f64 = 2.0;
+
+/// Cuts one chart along the edges of its `faces` that follow the motorcycles best; no face is divided, and the parts have edges as even as the mesh allows.
+/// Each path runs over vertices inside the chart until it comes to the boundary or to a path before it.
+pub(super) fn cut_along_edges(
+    mesh: &mut Mesh,
+    map: &ChartMap,
+    arrangement: &Arrangement,
+    division: &Division,
+    faces: &[FaceId],
+) {
+    let uvs = sorted_unique(faces.iter().flat_map(|f| mesh.atlas().corners[f.index()]));
+    let local = |u: UvId| uvs.binary_search(&u).ok();
+    let at: Vec<DVec2> = uvs.iter().map(|u| mesh.position(*u)).collect();
+    let mut links: Vec<BTreeMap<usize, HalfEdge>> = vec![BTreeMap::new(); uvs.len()];
+    // Where paths end: at what is a border already.
+    let mut is_end = vec![false; uvs.len()];
+    for h in faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k))) {
+        let [Some(a), Some(b)] = mesh.uv_ends(h).map(local) else { continue };
+        if mesh.topology().is_border(h) {
+            (is_end[a], is_end[b]) = (true, true);
+        } else {
+            links[a].insert(b, h);
+            links[b].insert(a, h);
+        }
+    }
+    let mut busy: Vec<bool> = arrangement.nodes.iter().map(|n| n.on_boundary).collect();
+    let mut cut = Vec::new();
+    for &m in &division.ran {
+        let own = &arrangement.motorcycles[m as usize];
+        let end = own.edges.iter().find(|(_, node)| std::mem::replace(&mut busy[*node as usize], true));
+        let Some(goal) = end.or(own.edges.last()).map(|(_, node)| arrangement.nodes[*node as usize].at) else {
+            continue;
+        };
+        let Some(start) = local(map.uvs[map.boundary[own.start] as usize]) else { continue };
+        let Some(path) = path(&links, &at, &is_end, start, axis_direction(own.direction as i32), goal) else {
+            continue;
+        };
+        for pair in path.windows(2) {
+            cut.extend(links[pair[0]].get(&pair[1]));
+        }
+        path.iter().for_each(|v| is_end[*v] = true);
+    }
+    mesh.cut(&cut);
+}
+
+/// The path from a vertex that follows a straight line to a goal best, over vertices that are no ends, to one that is.
+fn path(
+    links: &[BTreeMap<usize, HalfEdge>],
+    at: &[DVec2],
+    is_end: &[bool],
+    start: usize,
+    direction: DVec2,
+    goal: DVec2,
+) -> Option<Vec<usize>> {
+    let length = (goal - at[start]).dot(direction);
+    if length.is_nan() || length <= 0.0 {
+        return None;
+    }
+    let aside = |p: DVec2| {
+        let own = p - at[start];
+        let along = own.dot(direction);
+        let over = (along - length).max(-along).max(0.0);
+        (own.perp_dot(direction).abs() + over) / length
+    };
+    let mut cost = vec![f64::INFINITY; at.len()];
+    let mut from = vec![usize::MAX; at.len()];
+    let mut heap = BinaryHeap::from([Reverse((Cost(0.0), start, false))]);
+    cost[start] = 0.0;
+    // An end is reached twice: as it is, and with what it costs to end there.
+    while let Some(Reverse((Cost(now), v, is_last))) = heap.pop() {
+        if is_last {
+            let mut path = vec![v];
+            while path[path.len() - 1] != start {
+                path.push(from[path[path.len() - 1]]);
+            }
+            path.reverse();
+            return Some(path);
+        }
+        if now > cost[v] {
+            continue;
+        }
+        if is_end[v] && v != start {
+            heap.push(Reverse((Cost(now + BESIDE * at[v].distance(goal)), v, true)));
+            continue;
+        }
+        for &u in links[v].keys() {
+            let middle = 0.5 * (at[u] + at[v]);
+            let reached = now + at[u].distance(at[v]) * (1.0 + ASIDE * aside(middle));
+            if reached < cost[u] && u != start {
+                cost[u] = reached;
+                from[u] = v;
+                heap.push(Reverse((Cost(reached), u, false)));
+            }
+        }
+    }
+    None
 }
 
 /// The corner at a boundary vertex, or at a copy of it that cuts have made, from which a direction leads into the chart.

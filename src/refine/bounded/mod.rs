@@ -26,7 +26,7 @@ use serde_json::{Map, Value, json};
 
 use self::construct::{Constructed, Construction, construct};
 use self::decomposition::{Goal, search};
-use self::params::{Bounded, Energy, Search};
+use self::params::{Bounded, Cuts, Energy, Search};
 use self::prepare::{NO_DISK, Prepared, Target, divide_fans, prepare};
 use self::reduce::{Reduction, reduce};
 use self::sheet::assemble;
@@ -406,7 +406,15 @@ impl Job<'_> {
         if let Some(chosen) = search(&charts, &wanted, &mut Random::stream(context.seed, 0)) {
             for ((own, division), d) in constructed.disks.iter().zip(&chosen.divisions).zip(0..) {
                 context.check()?;
-                cut::cut_chart(&mut mesh, &own.map, &own.arrangement, division, &mut labels, d);
+                match params.cuts {
+                    Cuts::Straight => {
+                        cut::cut_chart(&mut mesh, &own.map, &own.arrangement, division, &mut labels, d);
+                    }
+                    Cuts::Edges => {
+                        let faces = &constructed.info[d as usize].faces;
+                        cut::cut_along_edges(&mut mesh, &own.map, &own.arrangement, division, faces);
+                    }
+                }
             }
         }
         // What lies in two parts must not hang together.

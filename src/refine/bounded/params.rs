@@ -19,6 +19,8 @@ params! {
         pub straight_cuts_alone: bool = false;
         /// What distortion is measured against while it is reduced (section 3.4).
         pub energy: Energy = Energy::Surface;
+        /// How charts are cut: straight, which divides faces, or along the edges of the mesh (section 4.1), so that cuts make no new vertices on the surface.
+        pub cuts: Cuts = Cuts::Straight;
         /// Whether the maps stay as they were cut, continuous across the new seams: nothing is reduced then (section 5, *Mapping continuity*).
         pub keep_mapping: bool = false;
         /// Whether reduction ends as soon as the distortion is that of the input (section 3.3), or goes on to the least that the bound allows.
@@ -53,6 +55,17 @@ pub enum Energy {
     Surface,
     /// The uploaded layout, so that its texture is disturbed least.
     Uploaded,
+}
+
+/// How charts are cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+#[schema(as = BoundedCuts)]
+pub enum Cuts {
+    /// Straight through faces: boxes about the parts are as full as can be.
+    Straight,
+    /// Along edges.
+    Edges,
 }
 
 /// How divisions are searched for.

@@ -31,6 +31,8 @@ pub(super) struct PackedCharts {
     pub fixed_walls: Vec<Bounds>,
     /// Whether a chart has no layer though they are to be apart.
     pub lacks_layer: bool,
+    /// How far charts without a layer are to be apart.
+    pub apart: f64,
     /// Area that is covered in them.
     pub fixed_area: f64,
     /// Area of all triangles at rest.
@@ -240,7 +242,8 @@ fn step(charts: &mut PackedCharts, free: &[u32], sheet: &Bounds, workspace: &mut
     let mut elements: Vec<Element> = pairs.chain(layer).map(triangle).collect();
     charts.x.extend(corners(sheet));
     let mean = charts.area() / charts.triangles.len().max(1) as f64;
-    let least = NARROWEST * (mean * 4.0 / 3f64.sqrt()).sqrt();
+    let apart = if charts.layer.is_empty() { charts.apart } else { 0.0 };
+    let least = (NARROWEST * (mean * 4.0 / 3f64.sqrt()).sqrt()).max(apart);
     let weight = VOID_ENERGY / void.len().max(1) as f64;
     for t in void {
         let vertices =

@@ -25,6 +25,8 @@ use crate::texture::Size;
 const STIFF: f64 = 4.0;
 /// Area of a face that is too small to be written, in parts of the mean, once it is widened.
 const WIDENED: f64 = 1e-4;
+/// How far edges of straight sides are from the axes, in parts of the box.
+const STRAIGHT: f64 = 1e-6;
 /// How much wider the layer is than it must be.
 pub(super) const WIDER: f64 = 1.1;
 
@@ -202,7 +204,9 @@ fn charts_of(
         out.segments.extend(edges.clone().map(|e| (e, number)));
         let width = 0.5 * gap * WIDER;
         let points: Vec<DVec2> = around.iter().map(|v| out.x[*v as usize]).collect();
-        match (gap > 0.0).then(|| layer(&points, width)).flatten() {
+        // What was cut along edges has no straight sides to lay a layer about: the void itself keeps it apart.
+        let has_layer = gap > 0.0 && is_aligned(&points);
+        match has_layer.then(|| layer(&points, width)).flatten() {
             Some(made) => {
                 let first = out.x.len() as u32;
                 out.x.extend(&made.outer);
@@ -223,7 +227,7 @@ fn charts_of(
                 }
             }
             None => {
-                out.lacks_layer |= gap > 0.0;
+                out.lacks_layer |= has_layer;
                 out.walls.extend(edges);
             }
         }
@@ -238,7 +242,15 @@ fn charts_of(
         let charts = Charts::new(&Topology::new(&part));
         out.fixed_area += coverage(&part, &charts, &clusters(&part, &charts, OverlapMode::Separate)).covered;
     }
+    out.apart = gap;
     (out, name)
+}
+
+/// Whether all edges of a loop run along the axes.
+fn is_aligned(points: &[DVec2]) -> bool {
+    let size = Bounds::around(points.iter().copied()).size().max_element();
+    let edges = points.iter().zip(points.iter().cycle().skip(1));
+    edges.map(|(a, b)| (*b - *a).abs().min_element()).all(|off| off <= STRAIGHT * size)
 }
 
 /// Gives small faces a little area, by moving vertices inside their charts; false where that is not possible.

@@ -170,6 +170,23 @@ fn an_l_is_cut_once_or_not_and_meets_every_bound() {
 }
 
 #[test]
+fn cuts_along_edges_divide_no_face_and_meet_a_bound() {
+    let start = shape(24, 24, |x, y| x >= 9 && y >= 9, 0.3);
+    let of = |cuts: Cuts, gutter: u32| {
+        let params = Bounded { packing_efficiency: 0.75, cuts, ..Bounded::default() };
+        let (staged, codes) = run(&start, &params, &options(gutter, OverlapMode::Separate));
+        is_packed(&staged, 0.75);
+        assert!(codes.is_empty(), "{cuts:?} {gutter}: {codes:?}");
+        let charts = Charts::new(&Topology::new(&staged.atlas)).len();
+        (staged.atlas.face_count() - start.face_count(), charts)
+    };
+    let (straight, edges) = (of(Cuts::Straight, 0), of(Cuts::Edges, 0));
+    assert!(edges.1 >= 2 && straight.1 >= 2, "{straight:?} {edges:?}");
+    assert!(edges.0 * 4 <= straight.0, "faces more: {straight:?} {edges:?}");
+    assert!(of(Cuts::Edges, 1).1 >= 2);
+}
+
+#[test]
 fn what_is_no_disk_is_opened_and_what_folds_is_flattened_anew() {
     // A ring, a sheet with a face turned over, one flat triangle, two that meet in a vertex, and a closed surface.
     let ring = shape(9, 9, |x, y| (3..6).contains(&x) && (3..6).contains(&y), 0.0);
