@@ -3,7 +3,7 @@
 use super::geometry::{GeometryReader, PrimitiveGeometry, weld};
 use super::material_index::MaterialIndex;
 use super::sets::{Planned, grid, plan, plan_unmapped, written_set};
-use super::uv_tiles::{leaves_tile, normalise_tiles};
+use super::uv_tiles::{leaves_tile, normalise_tiles, tame};
 use super::{Document, PrimitiveRef, ReadOptions, TextureSet};
 use crate::atlas::{Atlas, FaceId, Provenance};
 use crate::context::Context;
@@ -83,6 +83,16 @@ fn read_set(
         context.warn(if warning.pointer.is_some() { warning } else { warning.at(at) });
         Ok(None)
     };
+    let wild = if planned.slots.is_empty() { Vec::new() } else { tame(&mut atlas, planned.reference) };
+    if let Some(first) = wild.first() {
+        let owner = planned.primitives.get(atlas.provenance[first.index()].primitive as usize);
+        let at = owner.map(|&(p, _)| index.primitives[p].pointer()).unwrap_or_default();
+        let text = format!(
+            "{} faces have texture coordinates that are tens of thousands of images away: their corners are taken into the image, each by itself, and the rest is refined",
+            wild.len()
+        );
+        context.warn(Warning::new("wild_uvs", text).at(at));
+    }
     if let Some(image) = leaves_conflict(&atlas, &planned) {
         let text = "the texture set is left as it is: UVs leave the image, which is read with several wrap modes";
         return left(Warning::new("sampler_conflict", text).at(format!("/images/{image}")));

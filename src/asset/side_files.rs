@@ -43,6 +43,8 @@ pub fn read_paths(paths: &[PathBuf]) -> Result<Vec<File>> {
 
 /// Clean relative paths of buffers and images. A document that cannot be parsed names none; `load` says why.
 fn named_by_gltf(bytes: &[u8]) -> Vec<String> {
+    // Some editors write a byte-order mark.
+    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     let json: Value = serde_json::from_slice(bytes).unwrap_or_default();
     let arrays = ["buffers", "images"].into_iter().filter_map(|key| json.get(key)?.as_array());
     let uris = arrays.flatten().filter_map(|object| object.get("uri")?.as_str());
@@ -67,4 +69,15 @@ fn read_beside(folder: &Path, relative: &str) -> Option<Vec<u8>> {
     let path = folder.join(relative);
     path.metadata().ok().filter(std::fs::Metadata::is_file)?;
     std::fs::read(path).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_byte_order_mark_hides_no_side_file() {
+        let text = "\u{FEFF}{\"buffers\": [{\"uri\": \"a%20b.bin\"}], \"images\": [{\"uri\": \"80%25 worn.png\"}]}";
+        assert_eq!(named_by_gltf(text.as_bytes()), ["a b.bin", "80% worn.png"]);
+    }
 }

@@ -105,6 +105,36 @@ pub(crate) fn normalise_tiles(
     Ok(())
 }
 
+/// Faces of which a corner lies further away than this many images are no repeated texture but a fault, as long as they are few.
+const WILD_TILES: f64 = 10_000.0;
+/// Most of them: this many, or that part of all faces.
+const MOST_WILD: usize = 8;
+const MOST_WILD_PART: f64 = 0.01;
+
+/// Takes the corners of a few faces with wild UVs into the image, each by itself, so that they do not keep all others from being refined; gives those
+/// faces. Where there are many they are left.
+pub(crate) fn tame(atlas: &mut Atlas, sheet: [u32; 2]) -> Vec<FaceId> {
+    let size = DVec2::new(f64::from(sheet[0]), f64::from(sheet[1]));
+    let is_wild = |p: DVec2| !p.is_finite() || (p / size).abs().max_element() > WILD_TILES;
+    let wild: Vec<FaceId> = atlas.faces().filter(|f| atlas.uv_triangle(*f).into_iter().any(is_wild)).collect();
+    let most = MOST_WILD.max((MOST_WILD_PART * atlas.face_count() as f64) as usize);
+    if wild.len() > most || wild.len() == atlas.face_count() {
+        return Vec::new();
+    }
+    for f in &wild {
+        for k in 0..3 {
+            let at = atlas.uv[atlas.corners[f.index()][k].index()];
+            let inside = DVec2::new(at.x.rem_euclid(size.x), at.y.rem_euclid(size.y));
+            atlas.corners[f.index()][k] = UvId::new(atlas.uv.len());
+            atlas.uv.push(if inside.is_finite() { inside } else { 0.5 * size });
+        }
+    }
+    if !wild.is_empty() {
+        atlas.drop_unused_uvs();
+    }
+    wild
+}
+
 /// Whether UVs leave the image by more than a texel, where wrap modes differ.
 pub(crate) fn leaves_tile(mut uvs: impl Iterator<Item = DVec2>, sheet: [u32; 2]) -> bool {
     let inside = |x: f64, size: u32| (-SLACK..=f64::from(size) + SLACK).contains(&x);
@@ -216,6 +246,28 @@ mod tests {
     use glam::DVec3;
 
     const SHEET: [u32; 2] = [100, 50];
+
+    #[test]
+    fn a_few_wild_faces_are_taken_into_the_image_and_many_are_left() {
+        let low = DVec2::new(10.0, 10.0);
+        let mut triangles = vec![[low, low + DVec2::X * 20.0, low + DVec2::Y * 20.0]; 6];
+        triangles[2][1] = DVec2::new(-1e7 - 30.0, 3.76e7);
+        triangles[4][0] = DVec2::new(1e38, 20.0);
+        let before = crate::atlas::testing::soup(&triangles);
+        let mut atlas = before.clone();
+        assert_eq!(tame(&mut atlas, SHEET), [FaceId(2), FaceId(4)]);
+        let inside = |p: DVec2| p.cmpge(DVec2::ZERO).all() && p.cmple(DVec2::new(100.0, 50.0)).all();
+        for f in atlas.faces() {
+            assert!(atlas.uv_triangle(f).into_iter().all(inside), "{f:?}");
+            if f.0 != 2 && f.0 != 4 {
+                assert_eq!(atlas.uv_triangle(f), before.uv_triangle(f));
+            }
+        }
+        // All of them far away is a layout somewhere else.
+        let far: Vec<[DVec2; 3]> = triangles.iter().map(|t| t.map(|p| p + 1e7)).collect();
+        let mut atlas = crate::atlas::testing::soup(&far);
+        assert_eq!(tame(&mut atlas, SHEET), []);
+    }
 
     /// An Atlas of loose triangles: the corner at `(x, y)` and sides of length `s`.
     fn triangles(places: &[(f64, f64, f64)]) -> Atlas {

@@ -7,9 +7,14 @@ use serde_json::{Value, json};
 
 use super::mtl::{Map, Mtl};
 use crate::asset::Document;
+use crate::asset::extensions::TEXTURE_TRANSFORM;
 use crate::asset::upload::Upload;
 use crate::asset::uri::{self, quote};
 use crate::error::{Code, Failure, Result, Warning};
+
+/// Most words in the name of a library, and in a line of them.
+const MOST_WORDS: usize = 12;
+const MOST_LINE: usize = 256;
 
 /// Reads the libraries that an OBJ names; the first definition of a name counts.
 pub(crate) fn read_libraries(
@@ -22,10 +27,8 @@ pub(crate) fn read_libraries(
     // Lines may name one file a million times.
     let (mut read, mut missing) = (BTreeSet::new(), BTreeSet::new());
     for line in names {
-        // A name with blanks, or several names.
-        let whole = find(line, model_path, upload).map(|file| vec![(line.as_str(), Some(file))]);
-        let parts = whole
-            .unwrap_or_else(|| line.split_whitespace().map(|name| (name, find(name, model_path, upload))).collect());
+        let parts = library_names(line, &|name| find(name, model_path, upload).is_some());
+        let parts = parts.into_iter().map(|name| (name, find(name, model_path, upload)));
         for (name, file) in parts {
             let Some(file) = file else {
                 if !missing.insert(name) {
@@ -44,6 +47,55 @@ pub(crate) fn read_libraries(
         }
     }
     found
+}
+
+/// The names in a line of libraries: one with blanks, or several, which may have blanks too, or stand in quotes. A name is whatever `is_there`; what
+/// is left between such names is one that is not.
+fn library_names<'a>(line: &'a str, is_there: &dyn Fn(&str) -> bool) -> Vec<&'a str> {
+    let plain = line.trim_matches('"');
+    if is_there(plain) {
+        return vec![plain];
+    }
+    if line.contains('"') {
+        return line.split('"').map(str::trim).filter(|name| !name.is_empty()).collect();
+    }
+    let words = words(line);
+    let run = |from: usize, to: usize| &line[words[from].start..words[to].end];
+    let mut names = Vec::new();
+    let (mut at, mut unknown) = (0, None);
+    while at < words.len() {
+        let most = words.len().min(at + MOST_WORDS);
+        match (at..most).rev().find(|to| is_there(run(at, *to))) {
+            Some(to) => {
+                names.extend(unknown.take().map(|from| run(from, at - 1)));
+                names.push(run(at, to));
+                at = to + 1;
+            }
+            None => {
+                unknown.get_or_insert(at);
+                at += 1;
+            }
+        }
+    }
+    names.extend(unknown.map(|from| run(from, words.len() - 1)));
+    names
+}
+
+/// Every name that a line of libraries may mean.
+pub(super) fn possible_names(line: &str) -> Vec<&str> {
+    let mut names = vec![line.trim_matches('"')];
+    names.extend(line.split('"').map(str::trim).filter(|name| !name.is_empty()));
+    let words = words(line);
+    for (from, first) in words.iter().enumerate() {
+        names.extend(words[from..].iter().take(MOST_WORDS).map(|last| &line[first.start..last.end]));
+    }
+    names
+}
+
+/// Where the words of a line are, as many as are looked at.
+fn words(line: &str) -> Vec<std::ops::Range<usize>> {
+    let start = |word: &str| word.as_ptr() as usize - line.as_ptr() as usize;
+    line.split_whitespace().take(MOST_LINE).map(|word| start(word)..start(word) + word.len()).collect()
 }
 
 /// A file named from another one; absolute paths of somebody's disk are cut to the file name.
@@ -95,7 +147,7 @@ impl<'m> Materials<'m> {
             pbr["baseColorFactor"] = json!([r, g, b, opacity]);
         }
         if let Some(map) = &mtl.map_diffuse {
-            pbr["baseColorTexture"] = json!({ "index": self.texture(doc, library, map, warnings)? });
+            pbr["baseColorTexture"] = self.texture_info(doc, library, map, warnings)?;
         }
         let cutout = match (&mtl.map_dissolve, &mtl.map_diffuse) {
             (Some(alpha), Some(color)) => alpha.file == color.file,
@@ -107,13 +159,16 @@ impl<'m> Materials<'m> {
         material["pbrMetallicRoughness"] = pbr;
         let glow = mtl.emissive.unwrap_or([0.0; 3]).map(|v| v.min(1.0));
         if let Some(map) = &mtl.map_emissive {
-            material["emissiveTexture"] = json!({ "index": self.texture(doc, library, map, warnings)? });
+            material["emissiveTexture"] = self.texture_info(doc, library, map, warnings)?;
             material["emissiveFactor"] = json!(if glow == [0.0; 3] { [1.0; 3] } else { glow });
         } else if glow != [0.0; 3] {
             material["emissiveFactor"] = json!(glow);
         }
         if let Some(map) = &mtl.normal {
-            material["normalTexture"] = json!({ "index": self.texture(doc, library, map, warnings)? });
+            material["normalTexture"] = self.texture_info(doc, library, map, warnings)?;
+            if let Some(strength) = map.strength {
+                material["normalTexture"]["scale"] = json!(strength);
+            }
         }
         let index = doc.push("materials", material);
         self.warn_of_dropped(mtl, cutout, index, warnings);
@@ -132,9 +187,31 @@ impl<'m> Materials<'m> {
         }
         let maps = [&mtl.map_diffuse, &mtl.map_emissive, &mtl.normal];
         for map in maps.into_iter().flatten().filter(|m| m.adjusted) {
-            let message = format!("options that move or change the map {} are dropped", quote(&map.file));
+            let message = format!(
+                "options of the map {} have no counterpart in glTF and are dropped (-t, -mm, -imfchan, or -bm of a map that is no normal map)",
+                quote(&map.file)
+            );
             warnings.push(Warning::new("map_option_dropped", message).at(format!("/materials/{index}")));
         }
+    }
+
+    /// A texture as a material names it: `-s` and `-o` are a texture transform, whose v axis points down.
+    fn texture_info(
+        &mut self,
+        doc: &mut Document,
+        library: &str,
+        map: &Map,
+        warnings: &mut Vec<Warning>,
+    ) -> Result<Value> {
+        let mut info = json!({ "index": self.texture(doc, library, map, warnings)? });
+        let ([su, sv], [ou, ov]) = (map.scale, map.offset);
+        if (map.scale, map.offset) != ([1.0; 2], [0.0; 2]) {
+            info["extensions"] = json!({ TEXTURE_TRANSFORM: { "offset": [ou, 1.0 - sv - ov], "scale": [su, sv] } });
+            if doc.json.get("extensionsUsed").is_none() {
+                doc.json["extensionsUsed"] = json!([TEXTURE_TRANSFORM]);
+            }
+        }
+        Ok(info)
     }
 
     fn texture(&mut self, doc: &mut Document, library: &str, map: &Map, warnings: &mut Vec<Warning>) -> Result<usize> {

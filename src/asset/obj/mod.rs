@@ -46,8 +46,12 @@ pub(crate) fn load(
     let parts = primitives::build(&geometry, warnings);
     let materials = add_materials(&mut document, &geometry, &parts, entry, upload, limits, warnings)?;
     let mut primitives = Vec::with_capacity(parts.len());
+    let mut untextured: BTreeMap<usize, usize> = BTreeMap::new();
     for part in parts {
-        let material = materials.get(&part.material).copied();
+        let mut material = materials.get(&part.material).copied();
+        if let Some(m) = material.filter(|_| !part.has_uvs()) {
+            material = Some(*untextured.entry(m).or_insert_with(|| without_textures(&mut document, m)));
+        }
         let textured = material.is_some_and(|m| {
             document.json.pointer(&format!("/materials/{m}/pbrMetallicRoughness/baseColorTexture")).is_some()
         });
@@ -60,9 +64,35 @@ pub(crate) fn load(
     }
     let name = geometry.name.clone().unwrap_or_else(|| document.name.clone());
     let mesh = document.push("meshes", json!({ "name": name, "primitives": primitives }));
-    let node = document.push("nodes", json!({ "name": name, "mesh": mesh }));
+    let mut node = json!({ "name": name, "mesh": mesh });
+    if let Some(origin) = geometry.origin {
+        node["translation"] = json!(origin);
+        node["extras"] = json!({ "origin": origin });
+        let message = format!(
+            "the model lies far from the origin, where 32 bits cannot hold its vertices: positions are relative to {origin:?}, which is the node's translation"
+        );
+        warnings.push(Warning::new("recentred", message));
+    }
+    let node = document.push("nodes", node);
     document.push("scenes", json!({ "nodes": [node] }));
     Ok(document)
+}
+
+/// A material for faces without texture coordinates: the same, or a copy without its textures where it has any. Gives its index.
+fn without_textures(document: &mut Document, material: usize) -> usize {
+    let Some(own) = document.json.pointer(&format!("/materials/{material}")) else { return material };
+    let mut plain = own.clone();
+    if let Some(map) = plain.as_object_mut() {
+        map.shift_remove("normalTexture");
+        // Without the map the factor alone would glow.
+        if map.shift_remove("emissiveTexture").is_some() {
+            map.shift_remove("emissiveFactor");
+        }
+    }
+    if let Some(pbr) = plain.get_mut("pbrMetallicRoughness").and_then(serde_json::Value::as_object_mut) {
+        pbr.shift_remove("baseColorTexture");
+    }
+    if plain == *own { material } else { document.push("materials", plain) }
 }
 
 /// glTF materials of those that faces use, in order of first use; by index into the OBJ's names.
@@ -101,6 +131,12 @@ fn add_materials(
 }
 
 fn warn_of_dropped(geometry: &ObjGeometry, warnings: &mut Vec<Warning>) {
+    if let Some(line) = geometry.lacks_uvs {
+        let message = format!(
+            "faces name texture coordinates, the first in line {line}, and the file has none: the model is read without any (unwrap makes some)"
+        );
+        warnings.push(Warning::new("missing_texture_coordinates", message));
+    }
     if let Some((count, line)) = geometry.thin {
         let message = format!("{count} faces of fewer than three corners are dropped, the first in line {line}");
         warnings.push(Warning::new("degenerate_faces_dropped", message));
@@ -129,8 +165,9 @@ pub(crate) fn libraries(text: &[u8]) -> Vec<String> {
     while let Some((_, line)) = lines.next_line() {
         if let (b"mtllib", rest) = keyword(line) {
             let rest = String::from_utf8_lossy(rest);
-            let names = std::iter::once(rest.as_ref()).chain(rest.split_whitespace());
-            let clean = names.filter_map(|n| uri::join("", n).or_else(|| uri::normalise(uri::file_name(n))));
+            let clean = materials::possible_names(&rest)
+                .into_iter()
+                .filter_map(|n| uri::join("", n).or_else(|| uri::normalise(uri::file_name(n))));
             found.extend(clean.filter(|name| known.insert(name.clone())));
         }
     }

@@ -4,13 +4,19 @@ use super::lines::{Lines, keyword, words};
 use super::number::float;
 
 /// A texture map.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Map {
     /// File name as written.
     pub(crate) file: String,
     /// `-clamp on`: the texture does not repeat.
     pub(crate) clamp: bool,
-    /// Whether options that move, scale or change the texture were left out.
+    /// `-s`: what texture coordinates are multiplied by, before
+    pub(crate) scale: [f32; 2],
+    /// `-o`: this is added.
+    pub(crate) offset: [f32; 2],
+    /// `-bm`: how strong bumps are.
+    pub(crate) strength: Option<f32>,
+    /// Whether options that change the texture were left out.
     pub(crate) adjusted: bool,
 }
 
@@ -93,7 +99,8 @@ fn fraction(rest: &[u8]) -> Option<f32> {
 
 /// A map: options, then a file name that may hold blanks.
 fn map(rest: &[u8]) -> Option<Map> {
-    let mut map = Map { file: String::new(), clamp: false, adjusted: false };
+    let mut map =
+        Map { file: String::new(), clamp: false, scale: [1.0; 2], offset: [0.0; 2], strength: None, adjusted: false };
     let mut rest = rest;
     loop {
         let (option, after) = keyword(rest);
@@ -112,14 +119,16 @@ fn map(rest: &[u8]) -> Option<Map> {
             if most == 3 && (float(argument).is_none() || after.is_empty() && taken > 0) {
                 break;
             }
-            map.clamp |= option == b"-clamp" && argument.eq_ignore_ascii_case(b"on");
-            let neutral = match option {
-                b"-o" | b"-t" => Some(0.0),
-                b"-s" => Some(1.0),
-                _ => None,
-            };
-            map.adjusted |= neutral.is_some() && float(argument) != neutral;
-            map.adjusted |= option == b"-mm" || option == b"-imfchan";
+            let number = float(argument).filter(|v| v.is_finite());
+            match option {
+                b"-clamp" => map.clamp |= argument.eq_ignore_ascii_case(b"on"),
+                b"-s" if taken < 2 => map.scale[taken] = number.unwrap_or(1.0),
+                b"-o" if taken < 2 => map.offset[taken] = number.unwrap_or(0.0),
+                b"-bm" => map.strength = number,
+                b"-t" => map.adjusted |= number != Some(0.0),
+                b"-mm" | b"-imfchan" => map.adjusted = true,
+                _ => {}
+            }
             arguments = after;
         }
         rest = arguments;
@@ -134,12 +143,15 @@ mod tests {
 
     #[test]
     fn maps_with_options_and_blanks() {
-        let read = |text: &str| map(text.as_bytes()).map(|m| (m.file, m.clamp, m.adjusted));
-        assert_eq!(read("fuze uv.jpg"), Some(("fuze uv.jpg".into(), false, false)));
-        assert_eq!(read("-clamp on -s 1 1 1 a b.png"), Some(("a b.png".into(), true, false)));
-        assert_eq!(read("-o 0.5 x.png"), Some(("x.png".into(), false, true)));
-        assert_eq!(read("-s 2 2 1.png"), Some(("1.png".into(), false, true)));
-        assert_eq!(read("-bm 1 \"q r.png\""), Some(("q r.png".into(), false, false)));
+        let read = |text: &str| map(text.as_bytes()).map(|m| (m.file, m.clamp, m.scale, m.offset, m.adjusted));
+        let (one, zero) = ([1.0; 2], [0.0; 2]);
+        assert_eq!(read("fuze uv.jpg"), Some(("fuze uv.jpg".into(), false, one, zero, false)));
+        assert_eq!(read("-clamp on -s 1 1 1 a b.png"), Some(("a b.png".into(), true, one, zero, false)));
+        assert_eq!(read("-o 0.5 x.png"), Some(("x.png".into(), false, one, [0.5, 0.0], false)));
+        assert_eq!(read("-s 2 3 1.png"), Some(("1.png".into(), false, [2.0, 3.0], zero, false)));
+        assert_eq!(read("-t 0.1 0 0 x.png"), Some(("x.png".into(), false, one, zero, true)));
+        assert_eq!(read("-texres 512 -bm 1 \"q r.png\""), Some(("q r.png".into(), false, one, zero, false)));
+        assert_eq!(map(b"-bm 0.5 n.png").unwrap().strength, Some(0.5));
         assert_eq!(read("-clamp on"), None);
     }
 

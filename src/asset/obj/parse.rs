@@ -18,7 +18,7 @@ pub(crate) type Corner = [u32; 3];
 /// What an OBJ file says.
 #[derive(Debug, Default)]
 pub(crate) struct ObjGeometry {
-    /// `v`
+    /// `v`, relative to the origin
     pub(crate) positions: Vec<[f32; 3]>,
     /// Colour of each position; empty where no vertex has one, white where only this one has none.
     pub(crate) colors: Vec<[f32; 3]>,
@@ -40,6 +40,10 @@ pub(crate) struct ObjGeometry {
     pub(crate) thin: Option<(usize, usize)>,
     /// Lines, points, curves and surfaces that were left out.
     pub(crate) others: usize,
+    /// What positions are relative to, where 32 bits could not tell them apart far from the origin.
+    pub(crate) origin: Option<[f64; 3]>,
+    /// The line of the first face that names a texture coordinate, where the file has none.
+    pub(crate) lacks_uvs: Option<u32>,
 }
 
 /// A polygon.
@@ -69,7 +73,7 @@ impl ObjGeometry {
 /// `invalid_model` with the line number: a number that is none, NaN or infinite, an index that is out of range;
 /// `too_large` beyond the limit on triangles.
 pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
-    let mut geometry = ObjGeometry::default();
+    let mut geometry = ObjGeometry { origin: far_origin(bytes), ..ObjGeometry::default() };
     let mut lines = Lines::new(bytes);
     let mut material = NONE;
     let mut triangles: u64 = 0;
@@ -117,8 +121,52 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
             return Err(Failure::new(Code::TooLarge, message));
         }
     }
+    if geometry.uvs.is_empty() {
+        geometry.lacks_uvs = lacks_uvs(&geometry);
+        geometry.corners.iter_mut().for_each(|corner| corner[1] = NONE);
+    }
     check(&geometry)?;
     Ok(geometry)
+}
+
+/// Coordinates below this are near the origin.
+const NEAR: f64 = 1000.0;
+/// Distance from the origin, in parts of the model's extent, from which on 32 bits are too few.
+const FAR: f64 = 32.0;
+
+/// The middle of a model in whole units where that is so far from the origin that 32 bits would move its vertices by more than some millionths of its extent.
+fn far_origin(bytes: &[u8]) -> Option<[f64; 3]> {
+    let mut lines = Lines::new(bytes);
+    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    while let Some((_, line)) = lines.next_line() {
+        let (b"v", rest) = keyword(line) else { continue };
+        let mut own = [0.0; 3];
+        for (slot, word) in own.iter_mut().zip(words(rest)) {
+            *slot = double(word)?;
+        }
+        // One that is near is enough: what holds it too is as large as it is far away.
+        if own.iter().all(|v| v.abs() < NEAR) {
+            return None;
+        }
+        for k in 0..3 {
+            (low[k], high[k]) = (low[k].min(own[k]), high[k].max(own[k]));
+        }
+    }
+    let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
+    let farthest = (0..3).map(|k| low[k].abs().max(high[k].abs())).fold(0.0, f64::max);
+    let is_far = extent > 0.0 && extent.is_finite() && farthest > FAR * extent;
+    is_far.then(|| [0, 1, 2].map(|k| (0.5 * (low[k] + high[k])).round()))
+}
+
+/// A finite number in 64 bits.
+fn double(word: &[u8]) -> Option<f64> {
+    std::str::from_utf8(word).ok()?.parse().ok().filter(|v: &f64| v.is_finite())
+}
+
+/// The line of the first face that names a texture coordinate.
+fn lacks_uvs(geometry: &ObjGeometry) -> Option<u32> {
+    let named = |face: &&Face| geometry.corners_of(face).iter().any(|corner| corner[1] != NONE);
+    geometry.faces.iter().find(named).map(|face| face.line)
 }
 
 fn vertex(geometry: &mut ObjGeometry, rest: &[u8], line: usize) -> Result<()> {
@@ -127,7 +175,10 @@ fn vertex(geometry: &mut ObjGeometry, rest: &[u8], line: usize) -> Result<()> {
     for word in words(rest) {
         // Anything beyond a position and its colour is somebody's own.
         let Some(slot) = values.get_mut(count) else { break };
-        *slot = finite(word, line)?;
+        *slot = match geometry.origin.and_then(|origin| origin.get(count).copied()) {
+            Some(origin) => double(word).map_or_else(|| finite(word, line), |v| Ok((v - origin) as f32))?,
+            None => finite(word, line)?,
+        };
         count += 1;
     }
     let [x, y, z, r, g, b, _] = values;

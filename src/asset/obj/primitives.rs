@@ -75,6 +75,11 @@ pub(crate) fn build(geometry: &ObjGeometry, warnings: &mut Vec<Warning>) -> Vec<
 }
 
 impl Part {
+    /// Whether it has texture coordinates.
+    pub(crate) fn has_uvs(&self) -> bool {
+        !self.uvs.is_empty()
+    }
+
     /// The vertex of a corner, made at its first use.
     fn vertex(&mut self, geometry: &ObjGeometry, corner: Corner, face: &Face) -> u32 {
         let next = self.positions.len() as u32;

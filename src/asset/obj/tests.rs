@@ -136,3 +136,76 @@ proptest! {
         prop_assert!(failure.as_ref().is_none_or(|f| f.code != Code::Internal), "{:?}", failure);
     }
 }
+
+#[test]
+fn names_of_libraries_have_quotes_and_blanks_and_stand_beside_each_other() {
+    let mtl = |name: &str| format!("newmtl {name}\nKd 0.25 0.5 1\n");
+    let of = |line: &str| {
+        let faces = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\nusemtl blue\nf 1 3 2\n";
+        let files =
+            [file("m.obj", format!("{line}\n{faces}")), file("box red.mtl", mtl("red")), file("b.mtl", mtl("blue"))];
+        let (doc, warnings) = load(&files, None, &Limits::default()).unwrap();
+        let named = doc.json["materials"].as_array().unwrap().iter();
+        let colored = named.filter(|m| m["pbrMetallicRoughness"].get("baseColorFactor").is_some()).count();
+        (colored, warnings.into_iter().map(|w| w.message).collect::<Vec<_>>())
+    };
+    let none: Vec<String> = Vec::new();
+    assert_eq!(of("mtllib box red.mtl b.mtl"), (2, none.clone()));
+    assert_eq!(of("mtllib b.mtl box red.mtl"), (2, none.clone()));
+    assert_eq!(of("mtllib \"box red.mtl\"\nmtllib b.mtl"), (2, none.clone()));
+    assert_eq!(of("mtllib \"box red.mtl\" \"b.mtl\""), (2, none));
+    let (colored, messages) = of("mtllib my own.mtl b.mtl other");
+    assert_eq!(colored, 1);
+    for name in ["\"my own.mtl\"", "\"other\""] {
+        assert!(messages.iter().any(|m| m.contains(name) && m.contains("not uploaded")), "{messages:?}");
+    }
+}
+
+#[test]
+fn options_of_maps_are_a_texture_transform() {
+    let mtl = "newmtl a\nmap_Kd -s 4 2 1 -o 0.25 0.5 t.png\nnorm -bm 0.5 n.png\n";
+    let obj = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\n";
+    let files = [file("m.obj", obj), file("a.mtl", mtl), file("t.png", "PNG"), file("n.png", "PNG")];
+    let (doc, warnings) = load(&files, None, &Limits::default()).unwrap();
+    assert!(warnings.is_empty(), "{warnings:?}");
+    let material = &doc.json["materials"][0];
+    let transform = &material["pbrMetallicRoughness"]["baseColorTexture"]["extensions"]["KHR_texture_transform"];
+    // v points down: 1 - (2 v + 0.5) of the file's v.
+    assert_eq!(*transform, serde_json::json!({ "offset": [0.25, -1.5], "scale": [4.0, 2.0] }));
+    assert_eq!(doc.json["extensionsUsed"], serde_json::json!(["KHR_texture_transform"]));
+    assert_eq!(material["normalTexture"]["scale"], 0.5);
+    assert!(material["normalTexture"].get("extensions").is_none());
+}
+
+#[test]
+fn faces_without_texture_coordinates_are_kept_without_any() {
+    let mtl = "newmtl a\nmap_Kd t.png\nmap_Ke t.png\n";
+    let faces = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\nf 1 3 2\n";
+    let files = [file("m.obj", format!("mtllib a.mtl\n{faces}")), file("a.mtl", mtl), file("t.png", "PNG")];
+    let (doc, _) = load(&files, None, &Limits::default()).unwrap();
+    let primitives = doc.json["meshes"][0]["primitives"].as_array().unwrap();
+    assert_eq!(primitives.len(), 2);
+    let plain = &doc.json["materials"][primitives[1]["material"].as_u64().unwrap() as usize];
+    assert!(primitives[1]["attributes"].get("TEXCOORD_0").is_none());
+    assert!(plain.get("emissiveTexture").is_none() && plain.get("emissiveFactor").is_none(), "{plain}");
+    assert!(plain["pbrMetallicRoughness"].get("baseColorTexture").is_none(), "{plain}");
+
+    let (doc, warnings) = read("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/2 3/3\n").unwrap();
+    assert_eq!(warnings.iter().map(|w| w.code.as_str()).collect::<Vec<_>>(), ["missing_texture_coordinates"]);
+    assert!(doc.json["meshes"][0]["primitives"][0]["attributes"].get("TEXCOORD_0").is_none());
+}
+
+#[test]
+fn what_lies_far_from_the_origin_keeps_its_shape() {
+    let obj = "v 399999.98 5500000.01 120.5\nv 400000.02 5500000.01 120.5\nv 399999.98 5500000.05 120.54\nf 1 2 3\n";
+    let (doc, warnings) = read(obj).unwrap();
+    assert_eq!(warnings.iter().map(|w| w.code.as_str()).collect::<Vec<_>>(), ["recentred"]);
+    let p = read_vec3(&doc, attribute(&doc, 0, "POSITION")).unwrap();
+    let node = &doc.json["nodes"][0];
+    assert_eq!(node["translation"], serde_json::json!([400000.0, 5500000.0, 121.0]));
+    assert_eq!(node["extras"]["origin"], node["translation"]);
+    assert!((p[1][0] - p[0][0] - 0.04).abs() < 1e-6 && (p[2][2] - p[0][2] - 0.04).abs() < 1e-6, "{p:?}");
+    // What is large as well as far away stays as it is.
+    let (doc, warnings) = read("v 5000 0 0\nv 9000 0 0\nv 5000 4000 0\nf 1 2 3\n").unwrap();
+    assert!(warnings.is_empty() && doc.json["nodes"][0].get("translation").is_none());
+}
