@@ -170,6 +170,8 @@ const MISSING: f64 = 20.0;
 /// Temperature of the search at its begin and end, in parts of the seams before.
 const WARM: f64 = 0.02;
 const COLD: f64 = 0.0005;
+/// Numbers of divided charts that are tried where the goal is out of reach.
+const SAMPLED: usize = 16;
 /// Rectangles that are packed in a whole search, squared: fewer tries for more.
 const WORK: f64 = 4e6;
 /// Most rectangles that are packed to judge a division; of more it is known how tightly they pack.
@@ -249,6 +251,13 @@ impl Searcher<'_> {
         while low < high {
             let middle = (low + high) / 2;
             if self.judge(&with(middle))?.efficiency >= goal { high = middle } else { low = middle + 1 }
+        }
+        // Where not even all cuts suffice, some may do more than all: each part has free room about it.
+        if self.judge(&with(high))?.efficiency < goal {
+            let counts = (0..=SAMPLED).map(|k| least + (ranked.len() - least) * k / SAMPLED);
+            let judged = counts.map(|count| Some((self.judge(&with(count))?.value, count)));
+            let judged = judged.collect::<Option<Vec<_>>>()?;
+            high = judged.into_iter().min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))?.1;
         }
         for c in &ranked[high..] {
             orders[*c].on.fill(false);

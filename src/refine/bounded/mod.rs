@@ -38,11 +38,17 @@ use super::stage::{StageInput, Staged};
 use crate::atlas::bvh::Bounds;
 use crate::atlas::rounding;
 use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, OverlapMode, Topology, clusters, coverage, overlaps, seams};
+use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
 use crate::packing::{Random, RectangleRequest};
 
-/// What corners cost in the constructions that are tried, in parts of the square root of a chart's area: few corners first.
-const CORNERS: [f64; 3] = [0.02, 0.004, 0.0008];
+/// What corners cost in the constructions that are tried, in parts of the square root of a chart's area: few corners first; and, last, next to none
+/// but those of a rectangle.
+const CORNERS: [f64; 5] = [0.02, 0.004, 0.0008, 0.08, 0.4];
+/// Packing efficiency of squares beyond the bound below which gutters leave no room for cuts.
+const ROOMY: f64 = 0.1;
+/// Constructions, and packing efficiency beyond the bound, that are tried where gutters cost so much that the bound is missed: with fewer corners.
+const WITH_GUTTERS: [(usize, f64); 4] = [(3, 0.0), (3, 0.03), (4, 0.0), (4, 0.03)];
 /// What is tried: a construction, and packing efficiency of the boxes beyond the bound, which reduction may use up. Seams get longer, distortion less.
 const LADDER: [(usize, f64); 8] =
     [(0, 0.04), (0, 0.09), (1, 0.09), (1, 0.13), (2, 0.13), (1, 0.16), (2, 0.165), (2, 0.185)];
@@ -75,6 +81,8 @@ const FINAL_WIDTHS: usize = 48;
 /// An attempt.
 struct Attempt {
     atlas: Atlas,
+    /// How far its parts were apart before all was scaled.
+    gap: f64,
     efficiency: f64,
     distortion: f64,
     cut: f64,
@@ -92,11 +100,43 @@ impl Attempt {
     }
 }
 
-/// Deforms, cuts, packs and relaxes.
+/// What is said inside this stage when the user's limit on time ends before there is any result.
+const TIME_IS_UP: &str = "the limit on time has passed";
+
+/// Deforms, cuts, packs and relaxes. Where the limit on time ends before that has any result, charts are packed as they are.
 ///
 /// # Errors
 /// `too_large` when a chart fits on no sheet, `canceled`.
 pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
+    let failure = match deform_and_cut(input, params) {
+        Err(failure) if failure.message == TIME_IS_UP => failure,
+        done => return done,
+    };
+    let (packed, work) = lay_out(input, &[], &[], 1.0)?;
+    let reached = efficiency(&packed);
+    let bound_met = reached >= params.packing_efficiency;
+    if !bound_met {
+        let text = format!(
+            "{} before any chart of atlas {} was cut: charts are packed as they are, at {reached:.4} ({} was asked for; a longer time_limit_s gives more)",
+            failure.message, input.sheet_info.id, params.packing_efficiency
+        );
+        input.context.warn(Warning::new("bound_not_met", text));
+    }
+    let figures = Map::from_iter([
+        ("work".to_owned(), Value::from(work)),
+        ("packing_efficiency".to_owned(), json!(reached)),
+        ("bound_met".to_owned(), json!(bound_met)),
+    ]);
+    Ok(finished(input, packed, "time_limit", figures))
+}
+
+/// Goes on while the job is wanted and its time is not up.
+fn in_time(context: &Context) -> Result<()> {
+    context.check()?;
+    if context.out_of_time() { Err(Failure::internal(TIME_IS_UP)) } else { Ok(()) }
+}
+
+fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
     let StageInput { atlas, sheet_info, options, context, .. } = *input;
     let charts = Charts::new(&Topology::new(atlas));
     let together = clusters(atlas, &charts, options.atlas.overlaps);
@@ -124,7 +164,7 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
         }
     }
     context.step(0.1, "opening charts into disks")?;
-    let interrupt = || context.check();
+    let interrupt = || in_time(context);
     let mut prepared = prepare(atlas, &held, &interrupt)?;
     let target = match params.energy {
         Energy::Surface => Target::Surface,
@@ -153,7 +193,8 @@ pub(crate) fn bounded(input: &StageInput<'_>, params: &Bounded) -> Result<Staged
         let out: Vec<bool> =
             (0..prepared.disks.len()).map(|d| best.as_ref().is_some_and(|b| b.unwritable.contains(&d))).collect();
         let count = out.iter().filter(|x| **x).count();
-        if count == 0 {
+        // When time is up, they are given back by whoever checks the result.
+        if count == 0 || context.out_of_time() {
             break (before, best);
         }
         kept_as_they_are += count;
@@ -267,7 +308,7 @@ impl Job<'_> {
     /// All disks axis-aligned, corners at the price `CORNERS[corner]`.
     fn construct(&self, prepared: &Prepared, corner: usize, part: f64) -> Result<Constructed> {
         let how = Construction { sigma: self.params.sigma, corner: CORNERS[corner], target: self.target, part };
-        construct(prepared, &how, self.weights, &|| self.input.context.check())
+        construct(prepared, &how, self.weights, &|| in_time(self.input.context))
     }
 
     /// The best of some attempts; none where there is nothing to place.
@@ -290,21 +331,30 @@ impl Job<'_> {
             (_, true) => vec![4, 6],
             _ => vec![1, 3],
         };
-        for round in 0..3 {
+        // How far parts are apart before all is scaled: what served the attempts before is near what serves the next.
+        let mut gap = sheet::gap(self.input);
+        let has_gutters = gap > 0.0;
+        // Where gutters leave no room for cuts, charts with few corners are what may reach the bound.
+        let rounds = if has_gutters && !is_paper && squares(prepared, gap) < bound + ROOMY { 0 } else { 3 };
+        for round in 0..rounds {
             for k in wave.iter().map(|k| LADDER[*k].0) {
                 if constructed[k].is_none() {
                     context.step(0.15 + 0.25 * f64::from(round), "making charts axis-aligned")?;
-                    constructed[k] = Some(self.construct(prepared, k, f64::INFINITY)?);
+                    constructed[k] = match self.construct(prepared, k, f64::INFINITY) {
+                        Err(failure) if failure.message == TIME_IS_UP => None,
+                        made => Some(made?),
+                    };
                 }
             }
             context.step(0.3 + 0.25 * f64::from(round), "dividing, packing and relaxing")?;
             let one = |k: &usize| {
                 let (corner, slack) = LADDER[*k];
-                constructed[corner].as_ref().map(|c| self.attempt(c, goal(slack), before)).transpose()
+                constructed[corner].as_ref().map(|c| self.attempt(c, goal(slack), before, gap)).transpose()
             };
             let made: Vec<Attempt> =
                 wave.par_iter().map(one).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
             let good: Vec<bool> = made.iter().map(is_good).collect();
+            gap = made.first().map_or(gap, |a| a.gap);
             for (k, a) in wave.iter().zip(&made) {
                 tracing::debug!(
                     rung = k,
@@ -333,16 +383,37 @@ impl Job<'_> {
                 _ => break,
             };
         }
-        // More parts than corners ask for, where the bound is missed.
-        for part in PARTS {
+        for (corner, slack) in WITH_GUTTERS.into_iter().filter(|_| has_gutters && !is_paper) {
+            let is_enough = |a: &Attempt| a.efficiency >= bound || !a.unwritable.is_empty();
+            if attempts.iter().any(is_enough) || context.out_of_time() || prepared.disks.is_empty() {
+                break;
+            }
+            context.step(0.85, "making charts rectangles")?;
+            if constructed[corner].is_none() {
+                constructed[corner] = match self.construct(prepared, corner, f64::INFINITY) {
+                    Err(failure) if failure.message == TIME_IS_UP => None,
+                    made => Some(made?),
+                };
+            }
+            if let Some(constructed) = &constructed[corner] {
+                let made = self.attempt(constructed, goal(slack), before, gap)?;
+                gap = made.gap;
+                attempts.push(made);
+            }
+        }
+        // More parts than corners ask for, where the bound is missed. With gutters these would cost more than they gain.
+        for part in PARTS.into_iter().filter(|_| !has_gutters) {
             let is_enough = |a: &Attempt| a.efficiency >= bound || !a.unwritable.is_empty();
             if attempts.iter().any(is_enough) || context.out_of_time() || prepared.disks.is_empty() {
                 break;
             }
             context.step(0.9, "dividing further")?;
-            let constructed = self.construct(prepared, self.first_corner(), part * area.sqrt())?;
+            let constructed = match self.construct(prepared, self.first_corner(), part * area.sqrt()) {
+                Err(failure) if failure.message == TIME_IS_UP => break,
+                made => made?,
+            };
             for slack in [0.01, 0.05] {
-                attempts.push(self.attempt(&constructed, goal(slack), before)?);
+                attempts.push(self.attempt(&constructed, goal(slack), before, gap)?);
             }
         }
         *work += attempts.iter().map(Attempt::work).sum::<u64>();
@@ -365,9 +436,9 @@ impl Job<'_> {
     }
 
     /// Divides the charts of a construction, packs the parts, and relaxes them. Where all is scaled to a sheet the gutter is not scaled with it.
-    fn attempt(&self, constructed: &Constructed, goal: f64, before: f64) -> Result<Attempt> {
+    /// `gap` is how far parts are apart at first.
+    fn attempt(&self, constructed: &Constructed, goal: f64, before: f64, mut gap: f64) -> Result<Attempt> {
         let wanted = sheet::gap(self.input);
-        let mut gap = wanted;
         let mut kept = None;
         for round in 0..=SCALINGS {
             let (attempt, scale) = self.attempt_with_gap(constructed, goal, before, gap)?;
@@ -447,7 +518,7 @@ impl Job<'_> {
             is_out = sheet::round(&mut atlas, &mesh, &labels, constructed, &packed);
         }
         let unwritable = constructed.number.iter().zip(is_out).filter(|(_, is_out)| *is_out).map(|(k, _)| *k).collect();
-        Ok((Attempt { atlas, efficiency, distortion, cut, pieces, fallbacks, steps, unwritable }, scale))
+        Ok((Attempt { atlas, gap, efficiency, distortion, cut, pieces, fallbacks, steps, unwritable }, scale))
     }
 }
 

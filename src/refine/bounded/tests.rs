@@ -170,6 +170,20 @@ fn an_l_is_cut_once_or_not_and_meets_every_bound() {
 }
 
 #[test]
+fn without_time_charts_are_packed_as_they_are_and_it_is_told() {
+    let start = shape(12, 12, |x, y| x >= 3 && y >= 3, 0.3);
+    let context = Context::silent().with_time_limit(Some(std::time::Duration::ZERO));
+    let (info, options) = (SheetInfo::plain(), options(0, OverlapMode::Separate));
+    let input = StageInput { atlas: &start, sheet_info: &info, importance: None, options: &options, context: &context };
+    let staged = bounded(&input, &Bounded { packing_efficiency: 0.9, ..Bounded::default() }).unwrap();
+    assert_eq!((staged.stopped_by, &staged.figures["bound_met"]), ("time_limit", &json!(false)));
+    assert_eq!(check(&start, &staged.atlas, Exactness::Exact), Ok(()));
+    let warnings = context.warnings();
+    assert!(warnings.len() == 1 && warnings[0].code == "bound_not_met", "{warnings:?}");
+    assert!(warnings[0].message.contains("time_limit_s"), "{warnings:?}");
+}
+
+#[test]
 fn cuts_along_edges_divide_no_face_and_meet_a_bound() {
     let start = shape(24, 24, |x, y| x >= 9 && y >= 9, 0.3);
     let of = |cuts: Cuts, gutter: u32| {
