@@ -446,7 +446,7 @@ mod tests {
         let mut broken = primitive(&mut doc, &[("POSITION", broken)], &[]);
         broken["material"] = Value::from(1);
         let mut strange = bare.clone();
-        strange["extensions"] = json!({ "ACME_x": {} });
+        strange["extensions"] = json!({ "ACME_x": { "texture": 0 } });
         doc.json["meshes"][0]["primitives"].as_array_mut().unwrap().insert(0, bare);
         mesh(&mut doc, vec![textured, broken, strange]);
         let sets = sets_of(&doc);
