@@ -48,6 +48,10 @@ const WIDEST: f64 = 2.0;
 /// Fill that the narrowest and the widest box of a given aspect are made for.
 const FILLS: [f64; 2] = [0.99, 0.70];
 
+/// From this many rectangles on, fewer rules are tried where fewer widths are asked for than this.
+const FEW: usize = 32;
+const MANY_WIDTHS: usize = 8;
+
 /// By what rectangles are put in order, large to small.
 const ORDERS: [fn(DVec2) -> f64; 3] = [|s| s.max_element(), |s| s.element_product(), |s| s.min_element()];
 
@@ -110,6 +114,8 @@ impl RectanglePacker {
         let (low, high) = (low.max(narrowest), high.max(narrowest));
         // The more there are, the less it matters how they are placed, and the longer it takes.
         let (orders, rules, widths) = match sizes.len() {
+            // Contact is dear: where many packings are asked for, few rectangles have it.
+            FEW..=100 if request.widths < MANY_WIDTHS => (ORDERS.as_slice(), &RULES[..2], request.widths),
             0..=100 => (ORDERS.as_slice(), RULES.as_slice(), request.widths),
             101..=1000 => (&ORDERS[..2], &RULES[..1], request.widths.min(12)),
             1001..=3000 => (&ORDERS[..1], &RULES[..1], request.widths.min(4)),

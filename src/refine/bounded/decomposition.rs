@@ -173,7 +173,7 @@ const COLD: f64 = 0.0005;
 /// Numbers of divided charts that are tried where the goal is out of reach.
 const SAMPLED: usize = 16;
 /// Rectangles that are packed in a whole search, squared: fewer tries for more.
-const WORK: f64 = 4e6;
+const WORK: f64 = 2e6;
 /// Most rectangles that are packed to judge a division; of more it is known how tightly they pack.
 const MOST_PACKED: usize = 600;
 const FILLED: f64 = 0.97;
