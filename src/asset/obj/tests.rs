@@ -57,9 +57,17 @@ fn materials_make_primitives_and_maps_make_textures() {
     assert_eq!(doc.json["images"][0]["uri"], "my%20tex.png");
     assert_eq!(doc.images, [Some(b"PNG".to_vec()), None]);
     let codes: Vec<&str> = warnings.iter().map(|w| w.code.as_str()).collect();
-    assert_eq!(codes, ["missing_image", "material_map_dropped", "missing_material", "vertex_colors_dropped"]);
+    assert_eq!(codes, ["missing_image", "material_map_dropped", "missing_material"]);
     assert_eq!(warnings[0].pointer.as_deref(), Some("/images/1"));
-    assert!(doc.json["meshes"][0]["primitives"][1]["attributes"].get("COLOR_0").is_some());
+    for primitive in 0..2 {
+        assert!(doc.json["meshes"][0]["primitives"][primitive]["attributes"].get("COLOR_0").is_some(), "{primitive}");
+    }
+    // Beside a colour map that is seen, vertex colours are not.
+    let mapped = obj.replace("vn 0 0 2", "vt 0 0\nvn 0 0 2").replace("//", "/1/");
+    let files = [file("x/m.obj", mapped), file("x/my lib.mtl", mtl), file("x/my tex.png", "PNG")];
+    let (doc, warnings) = load(&files, None, &Limits::default()).unwrap();
+    assert_eq!(warnings.last().map(|w| w.code.as_str()), Some("vertex_colors_dropped"));
+    assert!(doc.json["meshes"][0]["primitives"][0]["attributes"].get("COLOR_0").is_none());
 }
 
 #[test]
