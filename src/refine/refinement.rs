@@ -5,6 +5,7 @@ use serde_json::{Map, Value, json};
 use super::give_back::give_back;
 use super::group::Group;
 use super::options::Options;
+use super::pack::finished;
 use super::recipe::Step;
 use super::stage::{SheetInfo, StageInput, Staged};
 use super::textures::BakedSlot;
@@ -57,7 +58,7 @@ impl<'a> Refinement<'a> {
             options: roomy.as_ref().unwrap_or(options),
             context,
         };
-        let Staged { mut atlas, stopped_by, mut figures, kept } = step.stage.run(&input)?;
+        let Staged { mut atlas, mut stopped_by, mut figures, mut kept } = step.stage.run(&input)?;
         let name = step.stage.name();
         if let Err(wrong) = check::violations(&set.atlas, &atlas, context)? {
             let (id, what) = (sheet_info.id, check::told(&wrong));
@@ -73,7 +74,8 @@ impl<'a> Refinement<'a> {
             );
             context.warn(Warning::new(CHARTS_GIVEN_BACK, message));
             figures.insert("charts_given_back".to_owned(), json!(mended.charts));
-            atlas = mended.atlas;
+            // Packed anew it may have become larger than it may be.
+            Staged { atlas, stopped_by, figures, kept } = finished(&input, mended.atlas, stopped_by, figures);
         }
         let pixels = |a: &Atlas| a.sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
         if step.only_if_smaller && pixels(&atlas) >= pixels(&self.atlas) {

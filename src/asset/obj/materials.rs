@@ -188,7 +188,7 @@ impl<'m> Materials<'m> {
         let maps = [&mtl.map_diffuse, &mtl.map_emissive, &mtl.normal];
         for map in maps.into_iter().flatten().filter(|m| m.adjusted) {
             let message = format!(
-                "options of the map {} have no counterpart in glTF and are dropped (-t, -mm, -imfchan, or -bm of a map that is no normal map)",
+                "options of the map {} have no counterpart in glTF and are dropped (-t, -mm or -imfchan)",
                 quote(&map.file)
             );
             warnings.push(Warning::new("map_option_dropped", message).at(format!("/materials/{index}")));

@@ -180,13 +180,16 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
         let before = distortion_of(&prepared, target);
         // What cannot be made axis-aligned without being bent out of shape is halved until it can.
         let corner = job.first_corner();
-        let mut first = job.construct(&prepared, corner, f64::INFINITY)?;
+        let construct = |prepared: &Prepared| {
+            job.construct(prepared, corner, f64::INFINITY)?.ok_or_else(|| Failure::internal(TIME_IS_UP))
+        };
+        let mut first = construct(&prepared)?;
         for _ in 0..HALVINGS {
             let bent: Vec<usize> = first.bent().collect();
             if bent.is_empty() || context.out_of_time() || !prepared.halve(&bent) {
                 break;
             }
-            first = job.construct(&prepared, corner, f64::INFINITY)?;
+            first = construct(&prepared)?;
         }
         let best = job.best(&prepared, first, before, &mut work)?;
         // A chart whose faces 32 bits cannot hold stays as it was.
@@ -305,10 +308,13 @@ impl Job<'_> {
         if self.is_large() { 2 } else { 1 }
     }
 
-    /// All disks axis-aligned, corners at the price `CORNERS[corner]`.
-    fn construct(&self, prepared: &Prepared, corner: usize, part: f64) -> Result<Constructed> {
+    /// All disks axis-aligned, corners at the price `CORNERS[corner]`; none where time is up before they are.
+    fn construct(&self, prepared: &Prepared, corner: usize, part: f64) -> Result<Option<Constructed>> {
         let how = Construction { sigma: self.params.sigma, corner: CORNERS[corner], target: self.target, part };
-        construct(prepared, &how, self.weights, &|| in_time(self.input.context))
+        match construct(prepared, &how, self.weights, &|| in_time(self.input.context)) {
+            Err(failure) if failure.message == TIME_IS_UP => Ok(None),
+            made => made.map(Some),
+        }
     }
 
     /// The best of some attempts; none where there is nothing to place.
@@ -340,10 +346,7 @@ impl Job<'_> {
             for k in wave.iter().map(|k| LADDER[*k].0) {
                 if constructed[k].is_none() {
                     context.step(0.15 + 0.25 * f64::from(round), "making charts axis-aligned")?;
-                    constructed[k] = match self.construct(prepared, k, f64::INFINITY) {
-                        Err(failure) if failure.message == TIME_IS_UP => None,
-                        made => Some(made?),
-                    };
+                    constructed[k] = self.construct(prepared, k, f64::INFINITY)?;
                 }
             }
             context.step(0.3 + 0.25 * f64::from(round), "dividing, packing and relaxing")?;
@@ -390,10 +393,7 @@ impl Job<'_> {
             }
             context.step(0.85, "making charts rectangles")?;
             if constructed[corner].is_none() {
-                constructed[corner] = match self.construct(prepared, corner, f64::INFINITY) {
-                    Err(failure) if failure.message == TIME_IS_UP => None,
-                    made => Some(made?),
-                };
+                constructed[corner] = self.construct(prepared, corner, f64::INFINITY)?;
             }
             if let Some(constructed) = &constructed[corner] {
                 let made = self.attempt(constructed, goal(slack), before, gap)?;
@@ -408,10 +408,7 @@ impl Job<'_> {
                 break;
             }
             context.step(0.9, "dividing further")?;
-            let constructed = match self.construct(prepared, self.first_corner(), part * area.sqrt()) {
-                Err(failure) if failure.message == TIME_IS_UP => break,
-                made => made?,
-            };
+            let Some(constructed) = self.construct(prepared, self.first_corner(), part * area.sqrt())? else { break };
             for slack in [0.01, 0.05] {
                 attempts.push(self.attempt(&constructed, goal(slack), before, gap)?);
             }
