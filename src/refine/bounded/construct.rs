@@ -1,5 +1,7 @@
 //! Axis-aligned charts of all disks (section 3.1), and the trails that divide them.
 
+use std::collections::BTreeSet;
+
 use glam::DVec2;
 use rayon::prelude::*;
 
@@ -7,7 +9,7 @@ use super::angles::{global_rotation, smoothed, targets};
 use super::arrangement::{Arrangement, arrange};
 use super::chart_map::ChartMap;
 use super::deform::{deform, flatten, runs};
-use super::prepare::{Disk, Labels, Layout, NO_DISK, Prepared, Target, embed};
+use super::prepare::{Disk, Labels, Layout, NO_DISK, Prepared, Target, embed, leave_out};
 use super::subdivide::{flattened_edges, split_at_middles};
 use crate::atlas::groups::sorted_unique;
 use crate::atlas::{FaceId, HalfEdge, Mesh};
@@ -144,19 +146,10 @@ pub(super) fn construct(
         }
     }
     // A disk without a map keeps no place among them.
-    let mut name = Vec::with_capacity(aligned.len());
-    let (mut disks, mut info, mut number, mut failed) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for (k, (d, of)) in aligned.into_iter().zip(own.disks).enumerate() {
-        if d.is_none() {
-            failed.push(k);
-            own.layout.restore(&mut own.mesh, &own.labels, &of.faces);
-        }
-        number.extend(d.is_some().then_some(k));
-        name.push(if d.is_some() { disks.len() as u32 } else { NO_DISK });
-        info.extend(d.is_some().then_some(of));
-        disks.extend(d);
-    }
-    own.labels.disk.iter_mut().filter(|d| **d != NO_DISK).for_each(|d| *d = name[*d as usize]);
+    let failed: Vec<usize> = (0..aligned.len()).filter(|d| aligned[*d].is_none()).collect();
+    let number = (0..aligned.len()).filter(|d| aligned[*d].is_some()).collect();
+    let info = leave_out(&mut own.mesh, &mut own.labels, &own.layout, own.disks, |d| aligned[d].is_none());
+    let disks = aligned.into_iter().flatten().collect();
     Ok(Constructed {
         mesh: own.mesh,
         labels: own.labels,
@@ -192,6 +185,16 @@ fn more(map: &ChartMap, targets: &[i32], part: f64) -> Vec<usize> {
 }
 
 impl Constructed {
+    /// The same with some disks, as they were numbered before others were left out, as they were uploaded.
+    pub fn without(&self, out: &BTreeSet<usize>) -> Constructed {
+        let Constructed { mut mesh, mut labels, layout, disks, info, number, failed, target } = self.clone();
+        let is_out = |d: usize| out.contains(&self.number[d]);
+        let info = leave_out(&mut mesh, &mut labels, &layout, info, is_out);
+        let kept = disks.into_iter().zip(number).filter(|(_, n)| !out.contains(n));
+        let (disks, number) = kept.unzip();
+        Constructed { mesh, labels, layout, disks, info, number, failed, target }
+    }
+
     /// The disks, as they were numbered before some were left out, that failed or only became rectangles, and bent ones.
     pub fn bent(&self) -> impl Iterator<Item = usize> {
         let pairs = self.disks.iter().zip(&self.number);

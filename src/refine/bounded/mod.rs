@@ -20,6 +20,8 @@ mod subdivide;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeSet;
+
 use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
@@ -69,9 +71,13 @@ const HALVINGS: usize = 6;
 /// How often the gutter is made wider or narrower because the sheet makes the charts smaller or larger, and how much wider than asked for it may end.
 const SCALINGS: usize = 3;
 const TOO_WIDE: f64 = 1.04;
+/// How often an attempt is made again without the disks that could not be written.
+const WRITINGS: usize = 4;
 /// Rounds of reduction, and steps in each.
 const ROUNDS: usize = 30;
 const STEPS: usize = 2;
+/// Most that is left free about rectangles, in parts of the mean side of charts: of thousands of small charts the diagonal says nothing.
+const PADDED: f64 = 0.02;
 /// What parts are apart in any case, in steps of texture coordinates.
 const APART: f64 = 3.0;
 /// Widths of the box that are tried for each division, and for the final packing.
@@ -89,8 +95,8 @@ struct Attempt {
     pieces: usize,
     fallbacks: usize,
     steps: usize,
-    /// Disks with faces that 32 bits cannot hold.
-    unwritable: Vec<usize>,
+    /// Disks that stay as they were uploaded, because 32 bits cannot hold their faces where they would lie.
+    kept: BTreeSet<usize>,
 }
 
 impl Attempt {
@@ -175,34 +181,22 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
     let border = border_length(atlas).max(1e-3 * bounds(atlas).length());
     let job = Job { input, params, cluster: &cluster, weights: weights.as_deref(), seams, border, target };
     let mut work = 0;
-    let mut kept_as_they_are = 0;
-    let (before, best) = loop {
-        let before = distortion_of(&prepared, target);
-        // What cannot be made axis-aligned without being bent out of shape is halved until it can.
-        let corner = job.first_corner();
-        let construct = |prepared: &Prepared| {
-            job.construct(prepared, corner, f64::INFINITY)?.ok_or_else(|| Failure::internal(TIME_IS_UP))
-        };
-        let mut first = construct(&prepared)?;
-        for _ in 0..HALVINGS {
-            let bent: Vec<usize> = first.bent().collect();
-            if bent.is_empty() || context.out_of_time() || !prepared.halve(&bent) {
-                break;
-            }
-            first = construct(&prepared)?;
-        }
-        let best = job.best(&prepared, first, before, &mut work)?;
-        // A chart whose faces 32 bits cannot hold stays as it was.
-        let out: Vec<bool> =
-            (0..prepared.disks.len()).map(|d| best.as_ref().is_some_and(|b| b.unwritable.contains(&d))).collect();
-        let count = out.iter().filter(|x| **x).count();
-        // When time is up, they are given back by whoever checks the result.
-        if count == 0 || context.out_of_time() {
-            break (before, best);
-        }
-        kept_as_they_are += count;
-        prepared.exclude(&out);
+    let before = distortion_of(&prepared, target);
+    // What cannot be made axis-aligned without being bent out of shape is halved until it can.
+    let corner = job.first_corner();
+    let construct = |prepared: &Prepared| {
+        job.construct(prepared, corner, f64::INFINITY)?.ok_or_else(|| Failure::internal(TIME_IS_UP))
     };
+    let mut first = construct(&prepared)?;
+    for _ in 0..HALVINGS {
+        let bent: Vec<usize> = first.bent().collect();
+        if bent.is_empty() || context.out_of_time() || !prepared.halve(&bent) {
+            break;
+        }
+        first = construct(&prepared)?;
+    }
+    let best = job.best(&prepared, first, before, &mut work)?;
+    let kept_as_they_are = best.as_ref().map_or(0, |b| b.kept.len());
     if kept_as_they_are > 0 {
         let text = format!(
             "{kept_as_they_are} charts of atlas {} cannot be deformed without losing faces: they stay as they are",
@@ -327,8 +321,9 @@ impl Job<'_> {
         let mut constructed: [Option<Constructed>; CORNERS.len()] = [const { None }; CORNERS.len()];
         constructed[self.first_corner()] = Some(first);
         let mut attempts: Vec<Attempt> = Vec::new();
-        let is_good =
-            |a: &Attempt| a.efficiency >= bound && a.distortion <= before * (1.0 + AS_GOOD) && a.unwritable.is_empty();
+        let is_good = |a: &Attempt| a.efficiency >= bound && a.distortion <= before * (1.0 + AS_GOOD);
+        // What one attempt could not write is left as it is in the next.
+        let mut kept = BTreeSet::new();
         let is_paper = params.search == Search::Paper;
         // In waves, so that what is tried does not depend on the number of threads.
         let is_large = self.is_large();
@@ -352,12 +347,13 @@ impl Job<'_> {
             context.step(0.3 + 0.25 * f64::from(round), "dividing, packing and relaxing")?;
             let one = |k: &usize| {
                 let (corner, slack) = LADDER[*k];
-                constructed[corner].as_ref().map(|c| self.attempt(c, goal(slack), before, gap)).transpose()
+                constructed[corner].as_ref().map(|c| self.attempt(c, goal(slack), before, gap, &kept)).transpose()
             };
             let made: Vec<Attempt> =
                 wave.par_iter().map(one).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
             let good: Vec<bool> = made.iter().map(is_good).collect();
             gap = made.first().map_or(gap, |a| a.gap);
+            made.iter().for_each(|a| kept.extend(&a.kept));
             for (k, a) in wave.iter().zip(&made) {
                 tracing::debug!(
                     rung = k,
@@ -368,10 +364,6 @@ impl Job<'_> {
                 );
             }
             attempts.extend(made);
-            // Without what cannot be written it is another task.
-            if attempts.iter().any(|a| !a.unwritable.is_empty()) {
-                break;
-            }
             // What is large gets fewer tries.
             let spent: u64 = attempts.iter().map(Attempt::work).sum();
             if is_paper || is_large || context.out_of_time() || spent >= self.input.options.work_budget.unwrap_or(WORK)
@@ -387,8 +379,7 @@ impl Job<'_> {
             };
         }
         for (corner, slack) in WITH_GUTTERS.into_iter().filter(|_| has_gutters && !is_paper) {
-            let is_enough = |a: &Attempt| a.efficiency >= bound || !a.unwritable.is_empty();
-            if attempts.iter().any(is_enough) || context.out_of_time() || prepared.disks.is_empty() {
+            if attempts.iter().any(|a| a.efficiency >= bound) || context.out_of_time() || prepared.disks.is_empty() {
                 break;
             }
             context.step(0.85, "making charts rectangles")?;
@@ -396,21 +387,20 @@ impl Job<'_> {
                 constructed[corner] = self.construct(prepared, corner, f64::INFINITY)?;
             }
             if let Some(constructed) = &constructed[corner] {
-                let made = self.attempt(constructed, goal(slack), before, gap)?;
+                let made = self.attempt(constructed, goal(slack), before, gap, &kept)?;
                 gap = made.gap;
                 attempts.push(made);
             }
         }
         // More parts than corners ask for, where the bound is missed. With gutters these would cost more than they gain.
         for part in PARTS.into_iter().filter(|_| !has_gutters) {
-            let is_enough = |a: &Attempt| a.efficiency >= bound || !a.unwritable.is_empty();
-            if attempts.iter().any(is_enough) || context.out_of_time() || prepared.disks.is_empty() {
+            if attempts.iter().any(|a| a.efficiency >= bound) || context.out_of_time() || prepared.disks.is_empty() {
                 break;
             }
             context.step(0.9, "dividing further")?;
             let Some(constructed) = self.construct(prepared, self.first_corner(), part * area.sqrt())? else { break };
             for slack in [0.01, 0.05] {
-                attempts.push(self.attempt(&constructed, goal(slack), before, gap)?);
+                attempts.push(self.attempt(&constructed, goal(slack), before, gap, &kept)?);
             }
         }
         *work += attempts.iter().map(Attempt::work).sum::<u64>();
@@ -418,9 +408,7 @@ impl Job<'_> {
             params.max_boundary_length.filter(|_| seams > 0.0).map_or(f64::INFINITY, |most| (most - 1.0) * seams);
         // The bound first, then the limit on seams, then distortion and seams together.
         let value = |a: &Attempt| {
-            // Less than any chart that would have to stay as it is.
-            let lost = if a.unwritable.is_empty() { 0.0 } else { 1.0 };
-            let missing = (bound - a.efficiency).max(0.0) + lost;
+            let missing = (bound - a.efficiency).max(0.0);
             let over = (a.cut - allowed).max(0.0) / border;
             let worse = (a.distortion / before - 1.0 - AS_GOOD).max(0.0);
             (missing, over, WORSE * worse + a.cut / border)
@@ -434,20 +422,40 @@ impl Job<'_> {
 
     /// Divides the charts of a construction, packs the parts, and relaxes them. Where all is scaled to a sheet the gutter is not scaled with it.
     /// `gap` is how far parts are apart at first.
-    fn attempt(&self, constructed: &Constructed, goal: f64, before: f64, mut gap: f64) -> Result<Attempt> {
+    fn attempt(
+        &self,
+        constructed: &Constructed,
+        goal: f64,
+        before: f64,
+        mut gap: f64,
+        known: &BTreeSet<usize>,
+    ) -> Result<Attempt> {
         let wanted = sheet::gap(self.input);
+        let mut out = known.clone();
+        let mut without = (!out.is_empty()).then(|| constructed.without(&out));
         let mut kept = None;
-        for round in 0..=SCALINGS {
+        let (mut scalings, mut writings) = (0, 0);
+        loop {
+            let constructed = without.as_ref().unwrap_or(constructed);
             let (attempt, scale) = self.attempt_with_gap(constructed, goal, before, gap)?;
+            let is_late = self.input.context.out_of_time();
+            // What is left after some tries is given back by whoever checks the result.
+            if !attempt.kept.is_empty() && writings < WRITINGS && !is_late {
+                out.extend(&attempt.kept);
+                without = Some(constructed.without(&out));
+                writings += 1;
+                continue;
+            }
             let is_wide = gap * scale >= wanted * (1.0 - 1e-9);
             let is_done = is_wide && gap * scale <= wanted * TOO_WIDE;
             if is_wide || kept.is_none() {
-                kept = Some(attempt);
+                kept = Some(Attempt { kept: out.clone(), ..attempt });
             }
-            if is_done || self.input.context.out_of_time() {
+            if is_done || is_late || scalings == SCALINGS {
                 break;
             }
-            gap = (1.01 + 0.02 * round as f64) * wanted / scale;
+            gap = (1.01 + 0.02 * scalings as f64) * wanted / scale;
+            scalings += 1;
         }
         kept.ok_or_else(|| Failure::internal("no attempt was made"))
     }
@@ -458,8 +466,10 @@ impl Job<'_> {
         let context = input.context;
         let charts: Vec<_> = constructed.disks.iter().map(|d| &d.arrangement).collect();
         let diagonal = bounds(input.atlas).length();
+        let sides: f64 = constructed.info.iter().map(|d| d.area.sqrt()).sum();
+        let free = (params.padding * diagonal).min(PADDED * sides / constructed.info.len().max(1) as f64);
         // Layers about charts must not touch each other before anything has moved.
-        let padding = (gap * sheet::WIDER * 1.01).max(params.padding * diagonal);
+        let padding = (gap * sheet::WIDER * 1.01).max(free);
         let aspect = sheet::aspect(input);
         let wanted = Goal {
             efficiency: goal,
@@ -514,8 +524,8 @@ impl Job<'_> {
             (atlas, scale) = assemble(input, &mesh, &packed);
             is_out = sheet::round(&mut atlas, &mesh, &labels, constructed, &packed);
         }
-        let unwritable = constructed.number.iter().zip(is_out).filter(|(_, is_out)| *is_out).map(|(k, _)| *k).collect();
-        Ok((Attempt { atlas, gap, efficiency, distortion, cut, pieces, fallbacks, steps, unwritable }, scale))
+        let kept = constructed.number.iter().zip(is_out).filter(|(_, is_out)| *is_out).map(|(k, _)| *k).collect();
+        Ok((Attempt { atlas, gap, efficiency, distortion, cut, pieces, fallbacks, steps, kept }, scale))
     }
 }
 

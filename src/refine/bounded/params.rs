@@ -27,7 +27,7 @@ params! {
         pub stop_at_input: bool = true;
         /// Standard deviation of boundary smoothing, relative to the length of a chart's boundary (eq. 3: 0.004).
         pub sigma: f64 = 0.004, in 0.0001..=0.1;
-        /// Free distance about each rectangle, relative to the diagonal of the input's bounding box (section 3.2: 0.0025).
+        /// Free distance about each rectangle, relative to the diagonal of the input's bounding box (section 3.2: 0.0025); at most a fiftieth of the mean side of its charts.
         pub padding: f64 = 0.0005, in 0..=0.05;
         /// Divisions that are tried for each construction (section 3.2: 500).
         pub candidates: u32 = 5000, in 1..=100000;

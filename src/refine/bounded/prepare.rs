@@ -25,6 +25,8 @@ use crate::numeric::tutte;
 const LEAST_EDGES: usize = 8;
 /// Places from which cuts across a disk are tried.
 const TRIALS: usize = 96;
+/// Part of the boundary that a cut across a disk should leave on either side.
+const EVEN: f64 = 0.2;
 /// Steps towards the least distortion of a map that is made anew.
 const STEPS: usize = 60;
 /// Relative decrease of a step below which they end.
@@ -71,9 +73,17 @@ impl Prepared {
     pub fn halve(&mut self, which: &[usize]) -> bool {
         let mut any = false;
         for &d in which {
-            let Some((corner, direction, snap)) = self.across(d) else { continue };
+            let Some((corner, direction, snap)) = self.across(d) else {
+                continue;
+            };
             let cut = self.mesh.cut_trail(TrailStart::Corner(corner), direction, f64::INFINITY, snap);
             self.labels.extend(&cut.faces);
+            // Others have the edges in which it begins and ends.
+            for (new, _) in &cut.faces {
+                if let Some(disk) = self.disks.get_mut(self.labels.disk[new.index()] as usize) {
+                    disk.faces.push(*new);
+                }
+            }
             any |= !cut.path.is_empty();
         }
         if any {
@@ -127,28 +137,14 @@ impl Prepared {
             };
             let Some(&end) = end else { continue };
             let arc = (along[end] - along[i]).abs();
-            let score = trail.length / arc.min(total - arc).max(1e-300);
+            let part = (arc / total).min(1.0 - arc / total);
+            // What cuts off but a little leaves the other part as it was.
+            let score = trail.length / part.max(1e-300) / (part / EVEN).min(1.0);
             if best.as_ref().is_none_or(|b| score < b.0) {
                 best = Some((score, corner, inward));
             }
         }
         best.map(|(_, corner, direction)| (corner, direction, snap))
-    }
-
-    /// Leaves some disks as they were uploaded.
-    pub fn exclude(&mut self, is_out: &[bool]) {
-        let mut name = Vec::with_capacity(self.disks.len());
-        let mut kept = Vec::new();
-        for (disk, is_out) in std::mem::take(&mut self.disks).into_iter().zip(is_out) {
-            name.push(if *is_out { NO_DISK } else { kept.len() as u32 });
-            if *is_out {
-                self.layout.restore(&mut self.mesh, &self.labels, &disk.faces);
-            } else {
-                kept.push(disk);
-            }
-        }
-        self.disks = kept;
-        self.labels.disk.iter_mut().filter(|d| **d != NO_DISK).for_each(|d| *d = name[*d as usize]);
     }
 
     /// The map of a disk.
@@ -158,6 +154,29 @@ impl Prepared {
         let shape = |f: FaceId| rest_shape(mesh.atlas(), &self.layout, &self.labels, f, disk, target);
         ChartMap::new(mesh, &disk.faces, &boundary, disk.reversed, &shape)
     }
+}
+
+/// Leaves some disks as they were uploaded; gives the others, which get new numbers.
+pub(super) fn leave_out(
+    mesh: &mut Mesh,
+    labels: &mut Labels,
+    layout: &Layout,
+    disks: Vec<Disk>,
+    is_out: impl Fn(usize) -> bool,
+) -> Vec<Disk> {
+    let mut name = Vec::with_capacity(disks.len());
+    let mut kept = Vec::new();
+    for (d, disk) in disks.into_iter().enumerate() {
+        if is_out(d) {
+            layout.restore(mesh, labels, &disk.faces);
+            name.push(NO_DISK);
+        } else {
+            name.push(kept.len() as u32);
+            kept.push(disk);
+        }
+    }
+    labels.disk.iter_mut().filter(|d| **d != NO_DISK).for_each(|d| *d = name[*d as usize]);
+    kept
 }
 
 /// The shape of a face at rest in texels, with a positive area; none where it has none.

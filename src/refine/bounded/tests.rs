@@ -8,7 +8,7 @@ use super::angles::{global_rotation, smoothed, targets, turns};
 use super::arrangement::arrange;
 use super::construct::AlignedDisk;
 use super::*;
-use crate::atlas::testing::{Rng, atlas as made, join, sheet, soup};
+use crate::atlas::testing::{Rng, atlas as made, cut_open, join, sheet, soup};
 use crate::atlas::{Exactness, UvId, check};
 use crate::context::Context;
 use crate::metrics::{MeasureInputs, measure};
@@ -143,6 +143,30 @@ fn a_bent_l_becomes_an_l_of_three_cells() {
     let more = arrange(&made.mesh, &disk.map, &targets, &more, &|_| 1.0).unwrap();
     let again: f64 = more.cells.iter().map(|c| c.size().element_product()).sum();
     assert!(more.cells.len() > 3 && (again - cells).abs() < 1e-9 * cells);
+}
+
+#[test]
+fn neighbours_are_halved_where_the_cut_of_one_divides_an_edge_of_the_other() {
+    let whole = sheet(8, 6, DVec2::ZERO);
+    let y = |h: HalfEdge| whole.uv[whole.corners[h.face().index()][h.corner()].index()].y;
+    let is_middle = |h: &HalfEdge| y(*h) == 3.0 && y(h.next()) == 3.0;
+    let middle: Vec<HalfEdge> = Topology::new(&whole).half_edges().filter(is_middle).collect();
+    let mut start = cut_open(&whole, &middle);
+    for p in &mut start.uv {
+        *p = DVec2::new(p.x + 0.2 * (0.7 * p.y).sin(), p.y + 0.2 * (0.5 * p.x).cos());
+    }
+    let mut prepared = prepare(&start, &vec![false; start.face_count()], &|| Ok(())).unwrap();
+    assert_eq!(prepared.disks.len(), 2);
+    let faces: usize = prepared.disks.iter().map(|d| d.faces.len()).sum();
+    for round in 1..=3 {
+        let all: Vec<usize> = (0..prepared.disks.len()).collect();
+        assert!(prepared.halve(&all));
+        assert_eq!(prepared.disks.len(), 2 << round, "each becomes two");
+        assert!(prepared.disks.iter().all(|d| prepared.map(d, Target::Surface).is_some()), "all are disks");
+        let least = prepared.disks.iter().map(|d| d.area).fold(f64::INFINITY, f64::min);
+        assert!(least * f64::from(2 << round) > 0.2 * 48.0, "none is but a little");
+    }
+    assert!(prepared.mesh.atlas().face_count() > faces);
 }
 
 #[test]
