@@ -34,7 +34,7 @@ pub(crate) fn resolve(
     let mut budget = Budget::new(limits);
     let buffers = buffers(&json, bin, &entry.path, upload, &mut budget, warnings)?;
     let name = uri::stem(&entry.path).to_owned();
-    let mut document = Document { json, buffers, images: Vec::new(), name, merging: Merging::default() };
+    let mut document = Document { json, buffers, images: Vec::new(), name, merging: Merging::default(), tile: None };
     let filtered = compression::views(&mut document, &mut budget, warnings, check)?;
     let lengths: Vec<usize> = document.buffers.iter().map(Vec::len).collect();
     accessor_layout::check(&document.json, &lengths, limits.max_input_bytes, warnings)?;

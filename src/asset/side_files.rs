@@ -5,11 +5,13 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::File;
+use super::glb;
 use super::obj;
+use super::tile;
 use super::uri;
 use crate::error::{Code, Failure, Result};
 
-/// Reads files for [`super::load`]. For a `.gltf` or `.obj` the files that it names beside it or in folders below
+/// Reads files for [`super::load`]. For a model the files that it names beside it or in folders below
 /// (buffers, images, material libraries and their maps) follow; those that are missing are left out.
 ///
 /// # Errors
@@ -23,6 +25,7 @@ pub fn read_paths(paths: &[PathBuf]) -> Result<Vec<File>> {
         let folder = path.parent().unwrap_or(Path::new(""));
         let named = match uri::extension(&name).as_str() {
             "gltf" => named_by_gltf(&bytes),
+            "glb" | "b3dm" | "i3dm" => named_by_gltf(json_of_binary(&bytes)),
             "obj" => named_by_obj(&bytes, folder),
             _ => Vec::new(),
         };
@@ -49,6 +52,15 @@ fn named_by_gltf(bytes: &[u8]) -> Vec<String> {
     let arrays = ["buffers", "images"].into_iter().filter_map(|key| json.get(key)?.as_array());
     let uris = arrays.flatten().filter_map(|object| object.get("uri")?.as_str());
     uris.filter(|u| !uri::is_data(u)).filter_map(|u| uri::resolve("", u).ok()).collect()
+}
+
+/// The JSON of a GLB, alone or in a tile; empty where it is broken, which `load` tells.
+fn json_of_binary(bytes: &[u8]) -> &[u8] {
+    let mut warnings = Vec::new();
+    let glb = if tile::is_tile(bytes) { tile::parse(bytes, &mut warnings).map(|(_, glb)| glb) } else { Ok(bytes) };
+    let json = glb.and_then(|glb| glb::parse(glb, &mut warnings)).map(|chunks| chunks.json).unwrap_or_default();
+    // Some writers pad with zeros instead of blanks.
+    json.iter().rposition(|b| *b != 0).and_then(|last| json.get(..=last)).unwrap_or_default()
 }
 
 fn named_by_obj(bytes: &[u8], folder: &Path) -> Vec<String> {

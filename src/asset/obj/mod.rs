@@ -42,7 +42,8 @@ pub(crate) fn load(
     warn_of_dropped(&geometry, warnings);
     let name = uri::stem(&entry.path).to_owned();
     let json = json!({ "asset": { "version": "2.0", "generator": "intarsia" }, "scene": 0 });
-    let mut document = Document { json, buffers: Vec::new(), images: Vec::new(), name, merging: Default::default() };
+    let mut document =
+        Document { json, buffers: Vec::new(), images: Vec::new(), name, merging: Default::default(), tile: None };
     let parts = primitives::build(&geometry, warnings);
     let materials = add_materials(&mut document, &geometry, &parts, entry, upload, limits, warnings)?;
     let mut primitives = Vec::with_capacity(parts.len());
