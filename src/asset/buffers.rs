@@ -41,6 +41,8 @@ pub(crate) fn resolve(
     check_triangles(&document.json, limits)?;
     compression::renew_bounds(&mut document, &filtered)?;
     compression::primitives(&mut document, limits, &mut budget, warnings, check)?;
+    // A stream may hold more than was declared.
+    check_triangles(&document.json, limits)?;
     document.images = images(&document, &entry.path, upload, &mut budget, warnings)?;
     Ok(document)
 }
