@@ -12,7 +12,7 @@
 //! * `material_index`: the materials, textures and primitives of a document with what they refer to.
 //! * `buffers`, over `compression`: what a document refers to, resolved and decompressed.
 //! * `append`, `accessor`, `accessor_layout`, `sources`, `prune`, `nodes`: single objects of a document.
-//! * `document` (with its `tile`), `texture_set`, `transform`, `primitive`, and the table of `extensions`.
+//! * `precision`, `document` (with its `tile`), `texture_set`, `transform`, `primitive`, and the table of `extensions`.
 //! * `json`, `uri`, `glb`, `archive`, `upload`, `limits`, `options`: no document at all.
 
 mod accessor;
@@ -31,6 +31,7 @@ pub(crate) mod merge;
 mod nodes;
 mod obj;
 mod options;
+mod precision;
 mod primitive;
 mod prune;
 pub mod sample;

@@ -2,6 +2,7 @@
 
 use super::geometry::{GeometryReader, PrimitiveGeometry, weld};
 use super::material_index::MaterialIndex;
+use super::precision::{bounding_box, is_far};
 use super::sets::{Planned, grid, plan, plan_unmapped, written_set};
 use super::uv_tiles::{leaves_tile, normalise_tiles, tame};
 use super::{Document, PrimitiveRef, ReadOptions, TextureSet};
@@ -146,7 +147,7 @@ fn texture_set(
             written: written_set(index, value, &indexed.materials, layout, options.uv_set),
             first_face,
             face_count,
-            animated: is_animated(value),
+            along_edges: is_animated(value) || lies_far(&geometry),
             corners: geometry.corners,
         });
         first_face += face_count;
@@ -166,6 +167,13 @@ fn leaves_conflict(atlas: &Atlas, planned: &Planned) -> Option<usize> {
         leaves_tile(own.flat_map(|f| atlas.uv_triangle(f)), planned.reference)
     };
     planned.conflicts.iter().find(|(p, _)| outside(*p)).map(|(_, image)| *image)
+}
+
+/// Whether 32 bits hold no points between a primitive's vertices.
+fn lies_far(geometry: &PrimitiveGeometry) -> bool {
+    let used = geometry.corners.iter().flatten().map(|v| geometry.positions[*v as usize].map(f64::from));
+    let (low, high) = bounding_box(used);
+    is_far(low, high)
 }
 
 /// Whether a primitive is skinned or morphed.
@@ -493,6 +501,40 @@ mod tests {
         for pointer in ["/meshes/0/primitives/0/material", "/textures/0/source"] {
             let wrong = failure(|doc| *doc.json.pointer_mut(pointer).unwrap() = json!(99));
             assert_eq!(wrong.pointer.as_deref(), Some(pointer));
+        }
+    }
+
+    #[test]
+    fn triangles_that_are_not_finite_are_held_back_alone() {
+        let with = |name: &str, values: RawAccessor| {
+            let mut doc = model(&[[16, 8]]);
+            let a = doc.append_accessor(&values, None, false);
+            doc.json["meshes"][0]["primitives"][0]["attributes"][name] = Value::from(a);
+            let (sets, warnings) = read_all(&doc);
+            (sets.unwrap().first().map(|s| (s.primitives[0].corners.len(), s.primitives[0].held.clone())), warnings)
+        };
+        let named = vec!["non_finite_triangles /meshes/0/primitives/0".to_owned()];
+        let mut uvs = [[0.5, 0.5], [0.25, 0.75], [0.25, 0.25], [0.75, 0.25], [0.75, 0.75]];
+        for (vertex, bad, place) in [(1, f32::NAN, 0), (3, f32::INFINITY, 1), (4, f32::NEG_INFINITY, 1)] {
+            let kept = std::mem::replace(&mut uvs[vertex][0], bad);
+            let (set, warnings) = with("TEXCOORD_0", RawAccessor::from_floats(&uvs));
+            let (corners, held) = set.unwrap();
+            assert_eq!((corners, held.len(), held[0].1, warnings), (1, 1, place, named.clone()));
+            uvs[vertex][0] = kept;
+        }
+        let (set, warnings) = with("POSITION", RawAccessor::from_floats(&[[0.0, f32::NAN, 0.0]; 5]));
+        assert_eq!((set, warnings), (None, named));
+    }
+
+    /// Where 32 bits hold halves, a point between two vertices would be somewhere else.
+    #[test]
+    fn what_lies_far_from_the_origin_is_cut_along_edges() {
+        for (away, far) in [(0.0, false), (20.0, false), (5_500_000.0, true)] {
+            let mut doc = model(&[[16, 8]]);
+            let places = [[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+            let a = attribute(&mut doc, &places.map(|[x, y]: [f32; 2]| [2.0 * x, 2.0 * y + away, 0.0]));
+            doc.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = Value::from(a);
+            assert_eq!(sets_of(&doc)[0].primitives[0].along_edges, far, "{away}");
         }
     }
 

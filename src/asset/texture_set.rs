@@ -22,8 +22,8 @@ pub struct PrimitiveRef {
     pub first_face: usize,
     /// Number of faces.
     pub face_count: usize,
-    /// Whether it is skinned or morphed.
-    pub animated: bool,
+    /// Whether it is skinned or morphed, or so far from the origin that 32 bits hold no points between its vertices: it is better cut along edges.
+    pub along_edges: bool,
     /// The glTF vertex of each corner of each face, as the index buffer names it.
     pub corners: Vec<[u32; 3]>,
 }

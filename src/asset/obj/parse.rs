@@ -4,6 +4,7 @@ use super::lines::{Lines, keyword, words};
 use super::number::{float, integer};
 use super::quote_bytes;
 use crate::asset::limits::Limits;
+use crate::asset::precision::{NEAR, is_far};
 use crate::error::{Code, Failure, Result};
 
 /// No texture coordinate, no normal, no material.
@@ -129,11 +130,6 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
     Ok(geometry)
 }
 
-/// Coordinates below this are near the origin.
-const NEAR: f64 = 1000.0;
-/// Distance from the origin, in parts of the model's extent, from which on 32 bits are too few.
-const FAR: f64 = 32.0;
-
 /// The middle of a model in whole units where that is so far from the origin that 32 bits would move its vertices by more than some millionths of its extent.
 fn far_origin(bytes: &[u8]) -> Option<[f64; 3]> {
     let mut lines = Lines::new(bytes);
@@ -152,10 +148,7 @@ fn far_origin(bytes: &[u8]) -> Option<[f64; 3]> {
             (low[k], high[k]) = (low[k].min(own[k]), high[k].max(own[k]));
         }
     }
-    let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
-    let farthest = (0..3).map(|k| low[k].abs().max(high[k].abs())).fold(0.0, f64::max);
-    let is_far = extent > 0.0 && extent.is_finite() && farthest > FAR * extent;
-    is_far.then(|| [0, 1, 2].map(|k| (0.5 * (low[k] + high[k])).round()))
+    is_far(low, high).then(|| [0, 1, 2].map(|k| (0.5 * (low[k] + high[k])).round()))
 }
 
 /// A finite number in 64 bits.
