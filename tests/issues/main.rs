@@ -3,4 +3,5 @@
 mod compressed_streams;
 mod extensions;
 mod layouts;
+mod numbers;
 mod tiles;

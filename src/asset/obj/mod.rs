@@ -142,6 +142,17 @@ fn warn_of_dropped(geometry: &ObjGeometry, warnings: &mut Vec<Warning>) {
         let message = format!("{count} faces of fewer than three corners are dropped, the first in line {line}");
         warnings.push(Warning::new("degenerate_faces_dropped", message));
     }
+    if let Some((count, line)) = geometry.without_position {
+        let message =
+            format!("{count} faces with a position that is NaN or infinite are dropped, the first in line {line}");
+        warnings.push(Warning::new("non_finite_triangles", message));
+    }
+    if let Some((count, line)) = geometry.without_uv {
+        let message = format!(
+            "{count} faces with a texture coordinate that is NaN or infinite are kept without any, the first in line {line}"
+        );
+        warnings.push(Warning::new("non_finite_triangles", message));
+    }
     if geometry.others > 0 {
         let message = format!("{} lines, points, curves or surfaces of the OBJ are dropped", geometry.others);
         warnings.push(Warning::new("obj_elements_dropped", message));

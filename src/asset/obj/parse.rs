@@ -45,6 +45,10 @@ pub(crate) struct ObjGeometry {
     pub(crate) origin: Option<[f64; 3]>,
     /// The line of the first face that names a texture coordinate, where the file has none.
     pub(crate) lacks_uvs: Option<u32>,
+    /// Faces that were left out because a position of theirs is not finite, and the line of the first.
+    pub(crate) without_position: Option<(usize, usize)>,
+    /// Faces that have no texture coordinates because one of theirs is not finite, and the line of the first.
+    pub(crate) without_uv: Option<(usize, usize)>,
 }
 
 /// A polygon.
@@ -71,7 +75,7 @@ impl ObjGeometry {
 /// Reads an OBJ file.
 ///
 /// # Errors
-/// `invalid_model` with the line number: a number that is none, NaN or infinite, an index that is out of range;
+/// `invalid_model` with the line number: a number that is none, an index that is out of range;
 /// `too_large` beyond the limit on triangles.
 pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
     let mut geometry = ObjGeometry { origin: far_origin(bytes), ..ObjGeometry::default() };
@@ -86,7 +90,7 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
         match key {
             b"v" => vertex(&mut geometry, rest, number)?,
             b"vt" => {
-                let [u, v, _] = numbers(rest, number, 1)?;
+                let [u, v, _] = numbers(rest, number)?;
                 geometry.uvs.push([u, v]);
             }
             b"vn" => geometry.normals.push(normal(rest, number)?),
@@ -127,7 +131,32 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
         geometry.corners.iter_mut().for_each(|corner| corner[1] = NONE);
     }
     check(&geometry)?;
+    hold_back(&mut geometry);
     Ok(geometry)
+}
+
+/// Leaves out the faces of which a position is not finite, and takes their texture coordinates from those of which one of these is not.
+fn hold_back(geometry: &mut ObjGeometry) {
+    let bad = |numbers: &[f32]| numbers.iter().any(|x| !x.is_finite());
+    if !geometry.positions.iter().any(|p| bad(p)) && !geometry.uvs.iter().any(|uv| bad(uv)) {
+        return;
+    }
+    let mut faces = std::mem::take(&mut geometry.faces);
+    faces.retain(|face| {
+        let is_bad = geometry.corners_of(face).iter().any(|c| bad(&geometry.positions[c[0] as usize]));
+        if is_bad {
+            geometry.without_position.get_or_insert((0, face.line as usize)).0 += 1;
+            return false;
+        }
+        let has_bad_uv = |c: &Corner| geometry.uvs.get(c[1] as usize).is_some_and(|uv| bad(uv));
+        if geometry.corners_of(face).iter().any(has_bad_uv) {
+            geometry.without_uv.get_or_insert((0, face.line as usize)).0 += 1;
+            let start = face.start as usize;
+            geometry.corners[start..start + face.count as usize].iter_mut().for_each(|corner| corner[1] = NONE);
+        }
+        true
+    });
+    geometry.faces = faces;
 }
 
 /// The middle of a model in whole units where that is so far from the origin that 32 bits would move its vertices by more than some millionths of its extent.
@@ -138,7 +167,11 @@ fn far_origin(bytes: &[u8]) -> Option<[f64; 3]> {
         let (b"v", rest) = keyword(line) else { continue };
         let mut own = [0.0; 3];
         for (slot, word) in own.iter_mut().zip(words(rest)) {
-            *slot = double(word)?;
+            *slot = double(word).unwrap_or(f64::NAN);
+        }
+        // What is no place is nowhere.
+        if own.iter().any(|v| v.is_nan()) {
+            continue;
         }
         // One that is near is enough: what holds it too is as large as it is far away.
         if own.iter().all(|v| v.abs() < NEAR) {
@@ -169,8 +202,8 @@ fn vertex(geometry: &mut ObjGeometry, rest: &[u8], line: usize) -> Result<()> {
         // Anything beyond a position and its colour is somebody's own.
         let Some(slot) = values.get_mut(count) else { break };
         *slot = match geometry.origin.and_then(|origin| origin.get(count).copied()) {
-            Some(origin) => double(word).map_or_else(|| finite(word, line), |v| Ok((v - origin) as f32))?,
-            None => finite(word, line)?,
+            Some(origin) => double(word).map_or_else(|| number(word, line), |v| Ok((v - origin) as f32))?,
+            None => number(word, line)?,
         };
         count += 1;
     }
@@ -180,22 +213,22 @@ fn vertex(geometry: &mut ObjGeometry, rest: &[u8], line: usize) -> Result<()> {
     }
     if count >= 6 {
         geometry.colors.resize(geometry.positions.len(), [1.0; 3]);
-        geometry.colors.push([r, g, b]);
+        geometry.colors.push([r, g, b].map(|c| if c.is_finite() { c } else { 1.0 }));
     }
     geometry.positions.push([x, y, z]);
     Ok(())
 }
 
-/// Up to three numbers, at least `least`; what is missing is 0.
-fn numbers(rest: &[u8], line: usize, least: usize) -> Result<[f32; 3]> {
+/// One to three numbers; what is missing is 0.
+fn numbers(rest: &[u8], line: usize) -> Result<[f32; 3]> {
     let mut values = [0.0; 3];
     let mut count = 0;
     for (slot, word) in values.iter_mut().zip(words(rest)) {
-        *slot = finite(word, line)?;
+        *slot = number(word, line)?;
         count += 1;
     }
-    if count < least {
-        return Err(Failure::model(format!("line {line}: {least} numbers are expected, and there are {count}")));
+    if count == 0 {
+        return Err(Failure::model(format!("line {line}: a number is expected, and there is none")));
     }
     Ok(values)
 }
@@ -211,14 +244,6 @@ fn normal(rest: &[u8], line: usize) -> Result<[f32; 3]> {
 
 fn number(word: &[u8], line: usize) -> Result<f32> {
     float(word).ok_or_else(|| Failure::model(format!("line {line}: {} is not a number", quote_bytes(word))))
-}
-
-fn finite(word: &[u8], line: usize) -> Result<f32> {
-    let value = number(word, line)?;
-    if !value.is_finite() {
-        return Err(Failure::model(format!("line {line}: {} is not a finite 32-bit number", quote_bytes(word))));
-    }
-    Ok(value)
 }
 
 /// Reads a face; gives the number of its corners.
