@@ -10,6 +10,7 @@ use super::document::{Document, Merging};
 use super::extensions;
 use super::json::{array, list, object, read_key};
 use super::limits::{Budget, Limits};
+use super::name::readable;
 use super::nodes;
 use super::primitive::declared_triangles;
 use super::upload::{Upload, UploadEntry};
@@ -33,8 +34,16 @@ pub(crate) fn resolve(
     nodes::check(&json)?;
     let mut budget = Budget::new(limits);
     let buffers = buffers(&json, bin, &entry.path, upload, &mut budget, warnings)?;
-    let name = uri::stem(&entry.path).to_owned();
-    let mut document = Document { json, buffers, images: Vec::new(), name, merging: Merging::default(), tile: None };
+    let name = uri::stem(&readable(&entry.path)).to_owned();
+    let mut document = Document {
+        json,
+        buffers,
+        images: Vec::new(),
+        name,
+        merging: Merging::default(),
+        tile: None,
+        undefined: Default::default(),
+    };
     let filtered = compression::views(&mut document, &mut budget, warnings, check)?;
     let lengths: Vec<usize> = document.buffers.iter().map(Vec::len).collect();
     accessor_layout::check(&document.json, &lengths, limits.max_input_bytes, warnings)?;

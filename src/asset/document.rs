@@ -30,6 +30,8 @@ pub struct Document {
     pub merging: Merging,
     /// What it came in, where that is a 3D tile.
     pub tile: Option<Tile>,
+    /// Materials that are defined in a file which was not uploaded: what they read is not known.
+    pub undefined: BTreeSet<usize>,
 }
 
 /// Images that merging changed the standing of, by index.

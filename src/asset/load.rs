@@ -8,6 +8,7 @@ use super::archive;
 use super::buffers::resolve;
 use super::glb;
 use super::limits::Limits;
+use super::name;
 use super::obj;
 use super::tile;
 use super::upload::{Upload, UploadEntry, clean_path};
@@ -95,7 +96,8 @@ pub fn load_while(
         }
     };
     let plain = files.iter().filter(|f| !archive::is_zip(&f.bytes)).count();
-    let unused = upload.unused(plain).into_iter().filter(|path| *path != entry.path).collect();
+    let unused = upload.unused(plain).into_iter().filter(|path| *path != entry.path);
+    let unused = unused.map(|path| name::readable(&path).into_owned()).collect();
     Ok((document, warnings, unused))
 }
 

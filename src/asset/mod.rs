@@ -13,7 +13,7 @@
 //! * `buffers`, over `compression`: what a document refers to, resolved and decompressed.
 //! * `append`, `accessor`, `accessor_layout`, `sources`, `prune`, `nodes`: single objects of a document.
 //! * `precision`, `document` (with its `tile`), `texture_set`, `transform`, `primitive`, and the table of `extensions`.
-//! * `json`, `uri`, `glb`, `archive`, `upload`, `limits`, `options`: no document at all.
+//! * `json`, `name`, `uri`, `glb`, `archive`, `upload`, `limits`, `options`: no document at all.
 
 mod accessor;
 mod accessor_layout;
@@ -28,6 +28,7 @@ mod glb;
 mod limits;
 mod load;
 pub(crate) mod merge;
+mod name;
 mod nodes;
 mod obj;
 mod options;

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::File;
 use super::glb;
+use super::name;
 use super::obj;
 use super::tile;
 use super::uri;
@@ -21,7 +22,7 @@ pub fn read_paths(paths: &[PathBuf]) -> Result<Vec<File>> {
     for path in paths {
         let bytes = std::fs::read(path)
             .map_err(|e| Failure::new(Code::MissingFile, format!("{} cannot be read: {e}", path.display())))?;
-        let name = path.file_name().map_or_else(|| "model".into(), |n| n.to_string_lossy().into_owned());
+        let name = path.file_name().map_or_else(|| "model".into(), |n| name::from_bytes(n.as_encoded_bytes()));
         let folder = path.parent().unwrap_or(Path::new(""));
         let named = match uri::extension(&name).as_str() {
             "gltf" => named_by_gltf(&bytes),
@@ -36,8 +37,8 @@ pub fn read_paths(paths: &[PathBuf]) -> Result<Vec<File>> {
             if files.iter().any(|f| f.path == side) {
                 continue;
             }
-            if let Some(bytes) = read_beside(folder, &side) {
-                files.push(File { path: side, bytes });
+            if let Some((path, bytes)) = read_beside(folder, side) {
+                files.push(File { path, bytes });
             }
         }
     }
@@ -66,7 +67,7 @@ fn json_of_binary(bytes: &[u8]) -> &[u8] {
 fn named_by_obj(bytes: &[u8], folder: &Path) -> Vec<String> {
     let mut named = Vec::new();
     for library in obj::libraries(bytes) {
-        let Some(text) = read_beside(folder, &library) else { continue };
+        let Some((library, text)) = read_beside(folder, library) else { continue };
         let maps = obj::maps(&text)
             .into_iter()
             .filter_map(|map| uri::join(&library, &map).or(uri::normalise(uri::file_name(&map))));
@@ -76,11 +77,31 @@ fn named_by_obj(bytes: &[u8], folder: &Path) -> Vec<String> {
     named
 }
 
-/// A plain file below `folder`; pipes and devices are not opened.
-fn read_beside(folder: &Path, relative: &str) -> Option<Vec<u8>> {
-    let path = folder.join(relative);
-    path.metadata().ok().filter(std::fs::Metadata::is_file)?;
-    std::fs::read(path).ok()
+/// A plain file below `folder`, under the bytes of its name, or else under what they may read, with the path that it is at; pipes and devices are not
+/// opened.
+fn read_beside(folder: &Path, relative: String) -> Option<(String, Vec<u8>)> {
+    // What a name reads must not lead elsewhere either.
+    let readings =
+        name::readings(&relative).into_iter().filter(|reading| uri::normalise(reading).as_ref() == Some(reading));
+    let readings: Vec<String> = readings.collect();
+    std::iter::once(relative).chain(readings).find_map(|relative| {
+        let path = folder.join(native(&relative));
+        path.metadata().ok().filter(std::fs::Metadata::is_file)?;
+        Some((relative, std::fs::read(path).ok()?))
+    })
+}
+
+/// A name as the file system has it.
+#[cfg(unix)]
+fn native(name: &str) -> PathBuf {
+    use std::os::unix::ffi::OsStrExt;
+    PathBuf::from(std::ffi::OsStr::from_bytes(&name::bytes(name)))
+}
+
+#[cfg(not(unix))]
+fn native(name: &str) -> PathBuf {
+    // Other systems have no bytes in their names: what one reads is looked for.
+    PathBuf::from(name)
 }
 
 #[cfg(test)]

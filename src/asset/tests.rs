@@ -19,6 +19,7 @@ fn small() -> Document {
         name: "m".to_owned(),
         merging: Default::default(),
         tile: None,
+        undefined: Default::default(),
     };
     let positions = RawAccessor::from_floats(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.1, 0.0]]);
     let position = doc.append_accessor(&positions, Some(ARRAY_BUFFER), true);

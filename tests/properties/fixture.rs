@@ -28,6 +28,7 @@ pub fn tiny() -> Document {
         name: "tiny".to_owned(),
         merging: Default::default(),
         tile: None,
+        undefined: Default::default(),
     };
     let places = [[0.5, 0.5], [0.25, 0.75], [0.25, 0.25], [0.75, 0.25], [0.75, 0.75]];
     let mut floats = |values: &RawAccessor, bounds| doc.append_accessor(values, Some(ARRAY_BUFFER), bounds);

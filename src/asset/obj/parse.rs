@@ -4,6 +4,7 @@ use super::lines::{Lines, keyword, words};
 use super::number::{float, integer};
 use super::quote_bytes;
 use crate::asset::limits::Limits;
+use crate::asset::name::from_bytes;
 use crate::asset::precision::{NEAR, is_far};
 use crate::error::{Code, Failure, Result};
 
@@ -108,15 +109,15 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
                     let message = format!("line {number}: the model has more than {MOST_MATERIALS} materials");
                     return Err(Failure::new(Code::TooLarge, message));
                 }
-                let name = String::from_utf8_lossy(rest).into_owned();
+                let name = from_bytes(rest);
                 material = *known.entry(name).or_insert_with_key(|name| {
                     geometry.materials.push(name.clone());
                     next
                 });
             }
-            b"mtllib" => geometry.libraries.push(String::from_utf8_lossy(rest).into_owned()),
+            b"mtllib" => geometry.libraries.push(from_bytes(rest)),
             b"o" if geometry.name.is_none() && !rest.is_empty() => {
-                geometry.name = Some(String::from_utf8_lossy(rest).into_owned());
+                geometry.name = Some(from_bytes(rest));
             }
             b"l" | b"p" | b"curv" | b"curv2" | b"surf" => geometry.others += 1,
             _ => {}

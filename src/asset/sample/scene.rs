@@ -25,6 +25,7 @@ impl Scene {
                 name: name.to_owned(),
                 merging: Default::default(),
                 tile: None,
+                undefined: Default::default(),
             },
         }
     }
