@@ -220,11 +220,11 @@ pub struct OptionFlags {
 /// `intarsia refine`.
 #[derive(Debug, Clone, Args)]
 pub struct Refine {
-    /// Models (.glb, .gltf, .obj, .zip), which share one atlas where there are several; other files are taken as files that
-    /// they name.
+    /// Models (.glb, .gltf, .obj, .b3dm, .i3dm, .zip), which share one atlas where there are several; other files are taken as
+    /// files that they name.
     #[arg(required = true)]
     pub input: Vec<PathBuf>,
-    /// The refined model: .glb, or .gltf with its files beside it. Several become NAME-0, NAME-1, … in the order of the
+    /// The refined model: .glb, .gltf with its files beside it, or the .b3dm or .i3dm that the input was. Several become NAME-0, NAME-1, … in the order of the
     /// input.
     #[arg(short, long)]
     pub output: PathBuf,
@@ -251,7 +251,7 @@ pub struct Refine {
 /// `intarsia inspect`.
 #[derive(Debug, Clone, Args)]
 pub struct Inspect {
-    /// Models (.glb, .gltf, .obj, .zip), each measured as it is; other files are taken as files that they name.
+    /// Models (.glb, .gltf, .obj, .b3dm, .i3dm, .zip), each measured as it is; other files are taken as files that they name.
     #[arg(required = true)]
     pub input: Vec<PathBuf>,
     /// Print the figures as JSON.

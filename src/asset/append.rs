@@ -141,7 +141,10 @@ fn set_bounds_of<T: Item + Into<f64>>(object: &mut Value, raw: &RawAccessor) {
     let mut bounds = vec![(f64::INFINITY, f64::NEG_INFINITY); raw.kind.multiplicity()];
     for element in raw.data.chunks_exact(raw.element_size) {
         for ((low, high), value) in bounds.iter_mut().zip(ItemIter::<T>::new(element, size_of::<T>())) {
-            let value = value.into();
+            let value: f64 = value.into();
+            if !value.is_finite() {
+                continue;
+            }
             (*low, *high) = (low.min(value), high.max(value));
         }
     }

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::io::{BufRead, BufReader, Cursor, Read};
 
+use super::name::from_bytes;
 use super::upload::UploadEntry;
 use super::uri::{file_name, normalise, quote};
 use crate::error::{Code, Failure, Result};
@@ -27,7 +28,7 @@ pub(crate) fn unpack(path: &str, bytes: &[u8], left: &mut u64) -> Result<Vec<Upl
     let mut entries = Vec::new();
     for index in 0..archive.len() {
         let mut file = archive.by_index(index).map_err(|e| damaged(e.to_string()))?;
-        let name = String::from_utf8_lossy(file.name_raw()).into_owned();
+        let name = from_bytes(file.name_raw());
         if file.is_dir() || name.ends_with('/') || is_litter(&name) {
             continue;
         }

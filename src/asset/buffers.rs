@@ -10,6 +10,7 @@ use super::document::{Document, Merging};
 use super::extensions;
 use super::json::{array, list, object, read_key};
 use super::limits::{Budget, Limits};
+use super::name::readable;
 use super::nodes;
 use super::primitive::declared_triangles;
 use super::upload::{Upload, UploadEntry};
@@ -33,14 +34,24 @@ pub(crate) fn resolve(
     nodes::check(&json)?;
     let mut budget = Budget::new(limits);
     let buffers = buffers(&json, bin, &entry.path, upload, &mut budget, warnings)?;
-    let name = uri::stem(&entry.path).to_owned();
-    let mut document = Document { json, buffers, images: Vec::new(), name, merging: Merging::default() };
+    let name = uri::stem(&readable(&entry.path)).to_owned();
+    let mut document = Document {
+        json,
+        buffers,
+        images: Vec::new(),
+        name,
+        merging: Merging::default(),
+        tile: None,
+        undefined: Default::default(),
+    };
     let filtered = compression::views(&mut document, &mut budget, warnings, check)?;
     let lengths: Vec<usize> = document.buffers.iter().map(Vec::len).collect();
     accessor_layout::check(&document.json, &lengths, limits.max_input_bytes, warnings)?;
     check_triangles(&document.json, limits)?;
     compression::renew_bounds(&mut document, &filtered)?;
     compression::primitives(&mut document, limits, &mut budget, warnings, check)?;
+    // A stream may hold more than was declared.
+    check_triangles(&document.json, limits)?;
     document.images = images(&document, &entry.path, upload, &mut budget, warnings)?;
     Ok(document)
 }

@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 
 use serde_json::Value;
 
+use super::tile::Tile;
+
 /// A file as uploaded: its relative path (forward slashes) and its bytes.
 #[derive(Debug, Clone)]
 pub struct File {
@@ -26,6 +28,10 @@ pub struct Document {
     pub name: String,
     /// What merging did to its images.
     pub merging: Merging,
+    /// What it came in, where that is a 3D tile.
+    pub tile: Option<Tile>,
+    /// Materials that are defined in a file which was not uploaded: what they read is not known.
+    pub undefined: BTreeSet<usize>,
 }
 
 /// Images that merging changed the standing of, by index.

@@ -20,6 +20,8 @@ pub(crate) const ANISOTROPY: &str = "KHR_materials_anisotropy";
 pub(crate) const ANIMATION_POINTER: &str = "KHR_animation_pointer";
 /// Copies of a node's mesh, placed by accessors.
 pub(crate) const GPU_INSTANCING: &str = "EXT_mesh_gpu_instancing";
+/// A centre that all positions are relative to (3D Tiles), far from the origin.
+pub(crate) const RTC: &str = "CESIUM_RTC";
 /// Primitives compressed with Draco.
 pub(crate) const DRACO: &str = "KHR_draco_mesh_compression";
 /// Buffer views compressed with meshopt: one layout under two names; the second also has colour filters.
@@ -101,7 +103,7 @@ impl Extension {
 }
 
 /// Every extension that something is known of. Textures of materials are used in the order of this table.
-const TABLE: [Extension; 30] = [
+const TABLE: [Extension; 31] = [
     // Geometry.
     Extension::decoded(DRACO),
     Extension::decoded(MESHOPT[0]),
@@ -157,6 +159,7 @@ const TABLE: [Extension; 30] = [
     Extension::material("KHR_materials_unlit", &[]),
     // The scene.
     Extension::handled("KHR_lights_punctual"),
+    Extension::handled(RTC),
     Extension::ignored(ANIMATION_POINTER),
     Extension::handled("KHR_node_visibility"),
     Extension::handled("KHR_xmp_json_ld"),

@@ -38,7 +38,15 @@ pub(crate) fn document(images: &[[u32; 2]]) -> Document {
         json["materials"][0]["pbrMetallicRoughness"] = json!({ "baseColorTexture": { "index": 0 } });
     }
     let images = images.iter().map(|[w, h]| Some(png(*w, *h))).collect();
-    Document { json, buffers: Vec::new(), images, name: "model".to_owned(), merging: Merging::default() }
+    Document {
+        json,
+        buffers: Vec::new(),
+        images,
+        name: "model".to_owned(),
+        merging: Merging::default(),
+        tile: None,
+        undefined: Default::default(),
+    }
 }
 
 /// Appends a vertex attribute.

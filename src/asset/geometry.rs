@@ -24,14 +24,47 @@ pub(crate) struct PrimitiveGeometry {
     pub(crate) mesh: usize,
     /// Where its vertices come from.
     pub(crate) accessors: VertexAccessors,
-    /// Position by glTF vertex, finite.
+    /// Position by glTF vertex, finite for those of `corners`.
     pub(crate) positions: Rc<Vec<[f32; 3]>>,
-    /// UV by glTF vertex, finite, as stored; none where the primitive has no layout.
+    /// UV by glTF vertex, as stored, finite for those of `corners`; none where the primitive has no layout.
     pub(crate) uvs: Option<Rc<Vec<[f32; 2]>>>,
     /// What is done to the UVs before a texture is read.
     pub(crate) transform: TextureTransform,
     /// glTF vertices of each triangle.
     pub(crate) corners: Vec<[u32; 3]>,
+    /// Triangles that are none of these, because a number of theirs is not finite: of each its vertices, and how many of `corners` stand before it.
+    pub(crate) held: Vec<HeldTriangle>,
+}
+
+/// A triangle that is held back: its glTF vertices, and how many triangles that are not held back stand before it.
+pub(crate) type HeldTriangle = ([u32; 3], usize);
+
+/// Triangles in their order, those that are held back among them: `own` are the others, each with its number among the uploaded
+/// ones that are not held back, ascending. None stands for one that is held back.
+pub(crate) fn interleaved<T>(own: impl Iterator<Item = (usize, T)>, held: &[HeldTriangle]) -> Vec<Option<T>> {
+    let mut all = Vec::new();
+    let mut left = held.iter().map(|(_, before)| *before).peekable();
+    for (number, triangle) in own {
+        while left.next_if(|before| *before <= number).is_some() {
+            all.push(None);
+        }
+        all.push(Some(triangle));
+    }
+    all.extend(left.map(|_| None));
+    all
+}
+
+impl PrimitiveGeometry {
+    /// All triangles in their order.
+    pub(crate) fn all_corners(&self) -> Vec<[u32; 3]> {
+        with_held(self.corners.iter().copied().enumerate(), &self.held)
+    }
+}
+
+/// [`interleaved`] triangles by their vertices.
+pub(crate) fn with_held(own: impl Iterator<Item = (usize, [u32; 3])>, held: &[HeldTriangle]) -> Vec<[u32; 3]> {
+    let mut left = held.iter().map(|(corners, _)| *corners);
+    interleaved(own, held).into_iter().filter_map(|own| own.or_else(|| left.next())).collect()
 }
 
 /// Reads primitives; accessors that several share are read once.
@@ -47,11 +80,11 @@ impl<'a> GeometryReader<'a> {
         GeometryReader { doc, positions: HashMap::new(), uvs: HashMap::new() }
     }
 
-    /// Triangles and positions of a triangle primitive, and its texture coordinates through `layout`, where it has one.
+    /// Triangles and positions of a triangle primitive, and its texture coordinates through `layout`, where it has one. Triangles with
+    /// numbers that are not finite are held back.
     ///
     /// # Errors
-    /// `invalid_model` with the accessor's pointer: index out of range, counts that differ, numbers that are
-    /// not finite.
+    /// `invalid_model` with the accessor's pointer: index out of range, counts that differ.
     pub(crate) fn read(
         &mut self,
         mesh: usize,
@@ -67,10 +100,10 @@ impl<'a> GeometryReader<'a> {
         let attribute = |name: &str| attribute(self.doc, &pointer, name);
         let name = layout.map(|l| format!("TEXCOORD_{}", l.uv_set));
         let (p, t) = (attribute("POSITION")?, name.as_deref().map(attribute).transpose()?);
-        let positions = cached(&mut self.positions, p, || read_vec3(self.doc, p), "POSITION")?;
+        let positions = cached(&mut self.positions, p, || read_vec3(self.doc, p))?;
         let mut uvs = None;
         if let (Some(t), Some(name)) = (t, name) {
-            let own = cached(&mut self.uvs, t, || read_vec2(self.doc, t), &name)?;
+            let own = cached(&mut self.uvs, t, || read_vec2(self.doc, t))?;
             if positions.len() != own.len() {
                 let text = format!("{name} has {} elements, POSITION has {}", own.len(), positions.len());
                 return Err(Failure::model(text).at(format!("{pointer}/attributes/{name}")));
@@ -94,7 +127,18 @@ impl<'a> GeometryReader<'a> {
             context.warn(Warning::new("trailing_indices", text).at(pointer));
         }
         let transform = layout.map_or(TextureTransform::IDENTITY, |l| l.transform);
-        Ok(PrimitiveGeometry { mesh, accessors: (p, t), positions, uvs, transform, corners: triangles(mode, &order) })
+        let is_finite = |v: &u32| {
+            let uv = uvs.as_ref().map_or([0.0; 2], |uvs| uvs[*v as usize]);
+            positions[*v as usize].iter().chain(&uv).all(|x| x.is_finite())
+        };
+        let (mut corners, mut held) = (Vec::new(), Vec::new());
+        for triangle in triangles(mode, &order) {
+            match triangle.iter().all(is_finite) {
+                true => corners.push(triangle),
+                false => held.push((triangle, corners.len())),
+            }
+        }
+        Ok(PrimitiveGeometry { mesh, accessors: (p, t), positions, uvs, transform, corners, held })
     }
 }
 
@@ -119,17 +163,11 @@ fn cached<const N: usize>(
     cache: &mut HashMap<usize, Rc<Vec<[f32; N]>>>,
     accessor: usize,
     read: impl FnOnce() -> Result<Vec<[f32; N]>>,
-    name: &str,
 ) -> Result<Rc<Vec<[f32; N]>>> {
     if let Some(found) = cache.get(&accessor) {
         return Ok(found.clone());
     }
-    let values = read()?;
-    if let Some(bad) = values.iter().position(|v| v.iter().any(|x| !x.is_finite())) {
-        let text = format!("element {bad} of {name} is not finite");
-        return Err(Failure::model(text).at(format!("/accessors/{accessor}")));
-    }
-    let values = Rc::new(values);
+    let values = Rc::new(read()?);
     cache.insert(accessor, values.clone());
     Ok(values)
 }

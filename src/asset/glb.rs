@@ -75,15 +75,16 @@ pub(crate) fn parse<'a>(bytes: &'a [u8], warnings: &mut Vec<Warning>) -> Result<
     Ok(Chunks { json, bin: chunks.1 })
 }
 
-/// Puts a GLB file together; JSON is padded with spaces, the binary chunk with zeros, and left out where empty.
+/// Puts a GLB file together, whose length is a multiple of `alignment` (4 or more of it); JSON is padded with spaces, the binary chunk with
+/// zeros, and left out where empty.
 ///
 /// # Errors
 /// `too_large` when it would not fit in the 4 GiB that the header can declare.
-pub(crate) fn build(mut json: Vec<u8>, bin: &[u8]) -> Result<Vec<u8>> {
-    json.resize(json.len().next_multiple_of(4), b' ');
+pub(crate) fn build(mut json: Vec<u8>, bin: &[u8], alignment: usize) -> Result<Vec<u8>> {
     let padded = bin.len().next_multiple_of(4);
     let chunk = if bin.is_empty() { 0 } else { 8 + padded };
-    let total = 20 + json.len() + chunk;
+    let total = (20 + json.len() + chunk).next_multiple_of(alignment.max(4));
+    json.resize(total - 20 - chunk, b' ');
     let too_large =
         |_| Failure::new(Code::TooLarge, format!("the model takes {total} bytes, and a GLB holds at most 4 GiB"));
     let length = u32::try_from(total).map_err(too_large)?;
@@ -102,7 +103,8 @@ pub(crate) fn build(mut json: Vec<u8>, bin: &[u8]) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-fn word(bytes: &[u8], at: usize) -> Option<u32> {
+/// Four bytes as a number.
+pub(crate) fn word(bytes: &[u8], at: usize) -> Option<u32> {
     bytes.get(at..)?.first_chunk::<4>().map(|w| u32::from_le_bytes(*w))
 }
 
@@ -118,18 +120,21 @@ mod tests {
 
     #[test]
     fn what_is_built_is_read() {
-        let glb = build(b"{}".to_vec(), &[1, 2, 3]).unwrap();
+        let glb = build(b"{}".to_vec(), &[1, 2, 3], 4).unwrap();
         let mut warnings = Vec::new();
         let chunks = parse(&glb, &mut warnings).unwrap();
         assert_eq!(chunks, Chunks { json: b"{}  ", bin: Some(&[1, 2, 3, 0]) });
         assert!(warnings.is_empty());
-        let glb = build(b"{}".to_vec(), &[]).unwrap();
+        let glb = build(b"{}".to_vec(), &[], 4).unwrap();
         assert_eq!(parse(&glb, &mut warnings).unwrap().bin, None);
+        let glb = build(b"{}".to_vec(), &[1, 2, 3], 8).unwrap();
+        let chunks = parse(&glb, &mut warnings).unwrap();
+        assert_eq!((glb.len() % 8, chunks), (0, Chunks { json: b"{}      ", bin: Some(&[1, 2, 3, 0]) }));
     }
 
     #[test]
     fn every_truncation_is_refused() {
-        let glb = build(b"{}".to_vec(), &[1, 2, 3]).unwrap();
+        let glb = build(b"{}".to_vec(), &[1, 2, 3], 4).unwrap();
         for end in 0..glb.len() {
             message(&glb[..end]);
         }
@@ -137,7 +142,7 @@ mod tests {
 
     #[test]
     fn damage_is_named() {
-        let glb = build(b"{}".to_vec(), &[1, 2, 3]).unwrap();
+        let glb = build(b"{}".to_vec(), &[1, 2, 3], 4).unwrap();
         let with = |at: usize, value: u32| {
             let mut bytes = glb.clone();
             bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());

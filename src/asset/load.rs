@@ -8,7 +8,9 @@ use super::archive;
 use super::buffers::resolve;
 use super::glb;
 use super::limits::Limits;
+use super::name;
 use super::obj;
+use super::tile;
 use super::upload::{Upload, UploadEntry, clean_path};
 use super::uri::{self, quote};
 use super::{Document, File};
@@ -24,11 +26,21 @@ pub(crate) enum Container {
     Glb,
     /// glTF as JSON.
     Gltf,
+    /// Binary glTF in a 3D tile.
+    Tile,
     /// Wavefront OBJ.
     Obj,
 }
 
-/// Loads the model among `files` (.glb, .gltf, .obj, or one of them in a .zip), told by content and by name. `main`
+/// Extensions of models, and of the tiles that are refused by name.
+const MODEL_EXTENSIONS: [&str; 7] = ["glb", "gltf", "obj", "b3dm", "i3dm", "cmpt", "pnts"];
+
+/// Whether a file is a model by its name.
+pub fn is_model_name(name: &str) -> bool {
+    MODEL_EXTENSIONS.contains(&uri::extension(name).as_str())
+}
+
+/// Loads the model among `files` (.glb, .gltf, .obj, .b3dm, .i3dm, or one of them in a .zip), told by content and by name. `main`
 /// names it where there are several. Every buffer is resolved, compressed geometry is decompressed, every buffer view and
 /// accessor lies inside its buffer; images that are missing are `None` and a warning.
 ///
@@ -57,7 +69,8 @@ pub fn load_while(
     if entry.bytes.is_empty() {
         return Err(Failure::model(format!("the file {} is empty", quote(&entry.path))));
     }
-    if container != Container::Glb && (entry.bytes.starts_with(b"\xFF\xFE") || entry.bytes.starts_with(b"\xFE\xFF")) {
+    let is_text = matches!(container, Container::Gltf | Container::Obj);
+    if is_text && (entry.bytes.starts_with(b"\xFF\xFE") || entry.bytes.starts_with(b"\xFE\xFF")) {
         return Err(Failure::model(format!("the file {} is UTF-16 text: save it as UTF-8", quote(&entry.path))));
     }
     let mut warnings = Vec::new();
@@ -67,15 +80,38 @@ pub fn load_while(
             let json = parse_json(&entry.bytes, limits)?;
             resolve(json, None, entry, &upload, limits, &mut warnings, check)?
         }
-        Container::Glb => {
-            let chunks = glb::parse(&entry.bytes, &mut warnings)?;
-            let json = parse_json(chunks.json, limits)?;
-            resolve(json, chunks.bin, entry, &upload, limits, &mut warnings, check)?
+        Container::Glb => load_glb(&entry.bytes, entry, &upload, limits, &mut warnings, check)?,
+        Container::Tile => {
+            let (tile, glb) = tile::parse(&entry.bytes, &mut warnings)?;
+            let in_tile = |mut failure: Failure| {
+                if failure.code == Code::InvalidModel && failure.pointer.is_none() {
+                    failure.message =
+                        format!("the .{} holds no glTF that is read: {}", tile.kind.extension(), failure.message);
+                }
+                failure
+            };
+            let mut document = load_glb(glb, entry, &upload, limits, &mut warnings, check).map_err(in_tile)?;
+            document.tile = Some(tile);
+            document
         }
     };
     let plain = files.iter().filter(|f| !archive::is_zip(&f.bytes)).count();
-    let unused = upload.unused(plain).into_iter().filter(|path| *path != entry.path).collect();
+    let unused = upload.unused(plain).into_iter().filter(|path| *path != entry.path);
+    let unused = unused.map(|path| name::readable(&path).into_owned()).collect();
     Ok((document, warnings, unused))
+}
+
+fn load_glb(
+    glb: &[u8],
+    entry: &UploadEntry<'_>,
+    upload: &Upload<'_>,
+    limits: &Limits,
+    warnings: &mut Vec<Warning>,
+    check: &dyn Fn() -> Result<()>,
+) -> Result<Document> {
+    let chunks = glb::parse(glb, warnings)?;
+    let json = parse_json(chunks.json, limits)?;
+    resolve(json, chunks.bin, entry, upload, limits, warnings, check)
 }
 
 /// A file of an upload, by its path or, where only one has it, its name; files in archives are found too.
@@ -132,7 +168,7 @@ fn find_model<'u, 'a>(upload: &'u Upload<'a>, main: Option<&str>) -> Result<(&'u
         (None, _) => Err(match upload.entries() {
             [] => Failure::model("there is no file in the input"),
             [only] => not_a_model(only),
-            all => Failure::model(format!("none of the {} files is a .glb, .gltf or .obj", all.len())),
+            all => Failure::model(format!("none of the {} files is a .glb, .gltf, .obj, .b3dm or .i3dm", all.len())),
         }),
     }
 }
@@ -141,7 +177,10 @@ fn not_a_model(entry: &UploadEntry<'_>) -> Failure {
     if entry.bytes.is_empty() {
         return Failure::model(format!("the file {} is empty", quote(&entry.path)));
     }
-    Failure::model(format!("the file {} is neither GLB, glTF, OBJ nor a zip archive of one", quote(&entry.path)))
+    Failure::model(format!(
+        "the file {} is neither GLB, glTF, OBJ, a 3D tile (.b3dm, .i3dm) nor a zip archive of one",
+        quote(&entry.path)
+    ))
 }
 
 /// What a file is, by its first bytes, then its name, and where `guess` is set by how its text looks.
@@ -150,12 +189,16 @@ pub(crate) fn container(entry: &UploadEntry<'_>, guess: bool) -> Option<Containe
     if bytes.starts_with(glb::MAGIC) {
         return Some(Container::Glb);
     }
+    if tile::is_tile(bytes) {
+        return Some(Container::Tile);
+    }
     let text = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes).trim_ascii_start();
     match uri::extension(&entry.path).as_str() {
         "gltf" => Some(Container::Gltf),
         "glb" if text.first() == Some(&b'{') => Some(Container::Gltf),
         "glb" => Some(Container::Glb),
         "obj" => Some(Container::Obj),
+        "b3dm" | "i3dm" => Some(Container::Tile),
         _ if guess && text.first() == Some(&b'{') => Some(Container::Gltf),
         _ if guess && obj::looks_like(text) => Some(Container::Obj),
         _ => None,

@@ -1,4 +1,4 @@
-//! glTF and OBJ in and out, without losing what is not understood.
+//! glTF, 3D tiles of glTF and OBJ in and out, without losing what is not understood.
 //!
 //! [`Document`] is a glTF document as `serde_json::Value` with its buffers and image files in memory; OBJ is converted to
 //! one while it is loaded, so that everything after sees glTF alone. [`TextureSet`] is one Atlas with what is needed to
@@ -12,8 +12,8 @@
 //! * `material_index`: the materials, textures and primitives of a document with what they refer to.
 //! * `buffers`, over `compression`: what a document refers to, resolved and decompressed.
 //! * `append`, `accessor`, `accessor_layout`, `sources`, `prune`, `nodes`: single objects of a document.
-//! * `document`, `texture_set`, `transform`, `primitive`, and the table of `extensions`.
-//! * `json`, `uri`, `glb`, `archive`, `upload`, `limits`, `options`: no document at all.
+//! * `precision`, `document` (with its `tile`), `texture_set`, `transform`, `primitive`, and the table of `extensions`.
+//! * `json`, `name`, `uri`, `glb`, `archive`, `upload`, `limits`, `options`: no document at all.
 
 mod accessor;
 mod accessor_layout;
@@ -28,9 +28,11 @@ mod glb;
 mod limits;
 mod load;
 pub(crate) mod merge;
+mod name;
 mod nodes;
 mod obj;
 mod options;
+mod precision;
 mod primitive;
 mod prune;
 pub mod sample;
@@ -38,6 +40,7 @@ mod save;
 mod side_files;
 mod side_names;
 mod sources;
+mod tile;
 mod upload;
 mod uri;
 
@@ -51,13 +54,15 @@ pub use document::{Document, File, Merging};
 pub use estimate::{Demand, Estimate, estimate};
 pub use gltf::json::accessor::{ComponentType, Type as Kind};
 pub use limits::Limits;
-pub use load::{load, load_while, side_file};
+pub use load::{is_model_name, load, load_while, side_file};
 pub use material_index::MaterialIndex;
 pub use merge::{Counts, Merge, Merged, MergedMaterial, finish as finish_merge, prepare as prepare_merge};
 pub use options::{ReadOptions, Tiling, UvSet};
 pub use save::to_gltf;
 pub use side_files::read_paths;
 pub(crate) use side_names::by_name as image_type;
+pub use tile::{Tile, TileKind};
+pub(crate) use tile::{TileHeader, is_tile};
 
 #[cfg(test)]
 pub(crate) mod fixture;

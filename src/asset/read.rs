@@ -2,6 +2,7 @@
 
 use super::geometry::{GeometryReader, PrimitiveGeometry, weld};
 use super::material_index::MaterialIndex;
+use super::precision::{bounding_box, is_far};
 use super::sets::{Planned, grid, plan, plan_unmapped, written_set};
 use super::uv_tiles::{leaves_tile, normalise_tiles, tame};
 use super::{Document, PrimitiveRef, ReadOptions, TextureSet};
@@ -17,8 +18,8 @@ const LONGEST_NAME: usize = 60;
 /// the context; the result is empty when nothing can.
 ///
 /// # Errors
-/// `invalid_model` with a pointer for indices out of range, attribute counts that differ and numbers that are not
-/// finite; `too_large` when 32 bits cannot count the corners; `canceled`.
+/// `invalid_model` with a pointer for indices out of range and attribute counts that differ; `too_large` when 32 bits cannot count
+/// the corners; `canceled`.
 pub fn read(doc: &Document, index: &MaterialIndex, options: ReadOptions, context: &Context) -> Result<Vec<TextureSet>> {
     let mut reader = GeometryReader::new(doc);
     let mut sets = Vec::new();
@@ -49,8 +50,12 @@ fn read_unmapped(
         let primitive = &index.primitives[p];
         match reader.read(primitive.mesh, primitive.primitive, None, context) {
             Ok(geometry) => {
-                geometries.push(geometry);
-                whole.push((p, layout));
+                warn_of_held(&geometry, &primitive.pointer(), context);
+                // Without a sound triangle nothing is left to lay out.
+                if geometry.held.is_empty() || !geometry.corners.is_empty() {
+                    geometries.push(geometry);
+                    whole.push((p, layout));
+                }
             }
             Err(failure) if failure.code == Code::Canceled => return Err(failure),
             Err(_) => {}
@@ -74,6 +79,7 @@ fn read_set(
     for &(p, layout) in &planned.primitives {
         let primitive = &index.primitives[p];
         geometries.push(reader.read(primitive.mesh, primitive.primitive, Some(layout), context)?);
+        warn_of_held(&geometries[geometries.len() - 1], &primitive.pointer(), context);
     }
     let Some(mut atlas) = joined(&geometries, planned.reference, context)? else { return Ok(None) };
     let left = |warning: Warning| {
@@ -108,6 +114,28 @@ fn read_set(
         return Ok(bare.map(|atlas| texture_set(doc, index, planned, id, options, atlas, geometries)));
     }
     Ok(Some(texture_set(doc, index, planned, id, options, atlas, geometries)))
+}
+
+/// Most triangles that a warning numbers.
+const MOST_NUMBERED: usize = 8;
+
+/// Names the triangles of a primitive that are held back.
+fn warn_of_held(geometry: &PrimitiveGeometry, pointer: &str, context: &Context) {
+    if geometry.held.is_empty() {
+        return;
+    }
+    let count = geometry.held.len();
+    let numbers = geometry.held.iter().enumerate().take(MOST_NUMBERED);
+    let mut numbers: Vec<String> = numbers.map(|(others, (_, before))| (before + others).to_string()).collect();
+    if count > MOST_NUMBERED {
+        numbers.push("…".to_owned());
+    }
+    let text = format!(
+        "{count} of {} triangles (numbered from 0: {}) have a position or texture coordinate that is NaN or infinite: they keep their vertices, with texture coordinates written as 0 where they are not finite, and the others are refined; delete them or give them finite numbers",
+        count + geometry.corners.len(),
+        numbers.join(", ")
+    );
+    context.warn(Warning::new("non_finite_triangles", text).at(pointer));
 }
 
 /// The Atlas of some primitives; none where they have no triangles. Every face is a whole triangle of the primitive that it came
@@ -146,8 +174,9 @@ fn texture_set(
             written: written_set(index, value, &indexed.materials, layout, options.uv_set),
             first_face,
             face_count,
-            animated: is_animated(value),
+            along_edges: is_animated(value) || lies_far(&geometry),
             corners: geometry.corners,
+            held: geometry.held,
         });
         first_face += face_count;
     }
@@ -166,6 +195,13 @@ fn leaves_conflict(atlas: &Atlas, planned: &Planned) -> Option<usize> {
         leaves_tile(own.flat_map(|f| atlas.uv_triangle(f)), planned.reference)
     };
     planned.conflicts.iter().find(|(p, _)| outside(*p)).map(|(_, image)| *image)
+}
+
+/// Whether 32 bits hold no points between a primitive's vertices.
+fn lies_far(geometry: &PrimitiveGeometry) -> bool {
+    let used = geometry.corners.iter().flatten().map(|v| geometry.positions[*v as usize].map(f64::from));
+    let (low, high) = bounding_box(used);
+    is_far(low, high)
 }
 
 /// Whether a primitive is skinned or morphed.
@@ -449,7 +485,9 @@ mod tests {
         strange["extensions"] = json!({ "ACME_x": { "texture": 0 } });
         doc.json["meshes"][0]["primitives"].as_array_mut().unwrap().insert(0, bare);
         mesh(&mut doc, vec![textured, broken, strange]);
-        let sets = sets_of(&doc);
+        let (sets, warnings) = read_all(&doc);
+        assert_eq!(warnings, ["non_finite_triangles /meshes/1/primitives/1"]);
+        let sets = sets.unwrap();
         assert_eq!(sets.iter().map(|s| s.atlas.has_layout()).collect::<Vec<_>>(), [true, false]);
         let set = &sets[1];
         assert_eq!((set.id, set.name.as_str(), set.slots.len(), set.reference), (1, "bare", 0, [1024, 1024]));
@@ -470,16 +508,6 @@ mod tests {
         let set = |doc: &mut Document, name: &str, accessor: usize| {
             doc.json["meshes"][0]["primitives"][0]["attributes"][name] = Value::from(accessor);
         };
-        let nan = failure(|doc| {
-            let a = attribute(doc, &[[0.0, f32::NAN, 0.0]; 5]);
-            set(doc, "POSITION", a);
-        });
-        assert_eq!((nan.code, nan.pointer.as_deref()), (Code::InvalidModel, Some("/accessors/4")));
-        let infinite = failure(|doc| {
-            let a = attribute(doc, &[[0.0, f32::INFINITY]; 5]);
-            set(doc, "TEXCOORD_0", a);
-        });
-        assert_eq!(infinite.pointer.as_deref(), Some("/accessors/4"));
         let few = failure(|doc| {
             let a = attribute(doc, &[[0.0, 0.5]; 4]);
             set(doc, "TEXCOORD_0", a);
@@ -493,6 +521,40 @@ mod tests {
         for pointer in ["/meshes/0/primitives/0/material", "/textures/0/source"] {
             let wrong = failure(|doc| *doc.json.pointer_mut(pointer).unwrap() = json!(99));
             assert_eq!(wrong.pointer.as_deref(), Some(pointer));
+        }
+    }
+
+    #[test]
+    fn triangles_that_are_not_finite_are_held_back_alone() {
+        let with = |name: &str, values: RawAccessor| {
+            let mut doc = model(&[[16, 8]]);
+            let a = doc.append_accessor(&values, None, false);
+            doc.json["meshes"][0]["primitives"][0]["attributes"][name] = Value::from(a);
+            let (sets, warnings) = read_all(&doc);
+            (sets.unwrap().first().map(|s| (s.primitives[0].corners.len(), s.primitives[0].held.clone())), warnings)
+        };
+        let named = vec!["non_finite_triangles /meshes/0/primitives/0".to_owned()];
+        let mut uvs = [[0.5, 0.5], [0.25, 0.75], [0.25, 0.25], [0.75, 0.25], [0.75, 0.75]];
+        for (vertex, bad, place) in [(1, f32::NAN, 0), (3, f32::INFINITY, 1), (4, f32::NEG_INFINITY, 1)] {
+            let kept = std::mem::replace(&mut uvs[vertex][0], bad);
+            let (set, warnings) = with("TEXCOORD_0", RawAccessor::from_floats(&uvs));
+            let (corners, held) = set.unwrap();
+            assert_eq!((corners, held.len(), held[0].1, warnings), (1, 1, place, named.clone()));
+            uvs[vertex][0] = kept;
+        }
+        let (set, warnings) = with("POSITION", RawAccessor::from_floats(&[[0.0, f32::NAN, 0.0]; 5]));
+        assert_eq!((set, warnings), (None, named));
+    }
+
+    /// Where 32 bits hold halves, a point between two vertices would be somewhere else.
+    #[test]
+    fn what_lies_far_from_the_origin_is_cut_along_edges() {
+        for (away, far) in [(0.0, false), (20.0, false), (5_500_000.0, true)] {
+            let mut doc = model(&[[16, 8]]);
+            let places = [[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+            let a = attribute(&mut doc, &places.map(|[x, y]: [f32; 2]| [2.0 * x, 2.0 * y + away, 0.0]));
+            doc.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = Value::from(a);
+            assert_eq!(sets_of(&doc)[0].primitives[0].along_edges, far, "{away}");
         }
     }
 

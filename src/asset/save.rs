@@ -37,6 +37,11 @@ impl Document {
     /// # Errors
     /// `too_large` beyond 4 GiB; `invalid_model` when the document is not consistent.
     pub fn to_glb(&self) -> Result<Vec<u8>> {
+        self.to_aligned_glb(4)
+    }
+
+    /// [`Document::to_glb`], with a length that is a multiple of `alignment`.
+    pub(crate) fn to_aligned_glb(&self, alignment: usize) -> Result<Vec<u8>> {
         let mut draft = OutputDraft::new(self)?;
         for (index, bytes) in self.images.iter().enumerate() {
             if let Some(bytes) = bytes {
@@ -44,7 +49,7 @@ impl Document {
             }
         }
         let bin = draft.finish(None)?;
-        glb::build(to_json(&draft.json)?, &bin)
+        glb::build(to_json(&draft.json)?, &bin, alignment)
     }
 
     /// The document as `model.gltf`, `model.bin` and one file for each image at hand: under the name that it came with, else

@@ -210,6 +210,12 @@ fn may_change(
             context.warn(Warning::new(code, text).at(format!("/materials/{m}")));
             free = false;
         };
+        if doc.undefined.contains(&m) {
+            left(
+                "missing_material_library",
+                "the library that may define it was not uploaded, so that its textures are not known",
+            );
+        }
         if material.animated {
             left("animated_texture_transform", "an animation moves one of its texture transforms");
         }

@@ -12,8 +12,15 @@ const PICTURE: &[u8] = b"\x89PNG\r\n\x1a\nnot really";
 /// A triangle with UVs and indices; an image in a buffer view; things that nobody here knows of.
 fn small() -> Document {
     let json = json!({ "asset": { "version": "2.0", "extras": { "long": 0.30000000000000004, "big": 1e300 } } });
-    let mut doc =
-        Document { json, buffers: Vec::new(), images: Vec::new(), name: "m".to_owned(), merging: Default::default() };
+    let mut doc = Document {
+        json,
+        buffers: Vec::new(),
+        images: Vec::new(),
+        name: "m".to_owned(),
+        merging: Default::default(),
+        tile: None,
+        undefined: Default::default(),
+    };
     let positions = RawAccessor::from_floats(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.1, 0.0]]);
     let position = doc.append_accessor(&positions, Some(ARRAY_BUFFER), true);
     let uvs = RawAccessor::from_floats(&[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]);
@@ -50,7 +57,7 @@ fn changed(pointer: &str, value: Value) -> Result<(Document, Vec<Warning>)> {
             }
         }
     }
-    let glb = glb::build(serde_json::to_vec(&json).unwrap(), &doc.buffers[0]).unwrap();
+    let glb = glb::build(serde_json::to_vec(&json).unwrap(), &doc.buffers[0], 4).unwrap();
     open(&[file("m.glb", glb)])
 }
 

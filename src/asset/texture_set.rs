@@ -22,10 +22,13 @@ pub struct PrimitiveRef {
     pub first_face: usize,
     /// Number of faces.
     pub face_count: usize,
-    /// Whether it is skinned or morphed.
-    pub animated: bool,
+    /// Whether it is skinned or morphed, or so far from the origin that 32 bits hold no points between its vertices: it is better cut along edges.
+    pub along_edges: bool,
     /// The glTF vertex of each corner of each face, as the index buffer names it.
     pub corners: Vec<[u32; 3]>,
+    /// Triangles that are no faces of the Atlas, because a number of theirs is not finite: of each its glTF vertices, and how many of
+    /// `corners` stand before it.
+    pub held: Vec<([u32; 3], usize)>,
 }
 
 /// A texture set: one Atlas, its primitives and its images.

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use super::name::readings;
 use super::uri::{file_name, normalise};
 
 /// A file of the upload, perhaps unpacked from an archive.
@@ -24,6 +25,8 @@ pub(crate) struct Upload<'a> {
     by_path: BTreeMap<String, usize>,
     /// By file name in lower case; none where several files share it.
     by_name: BTreeMap<String, Option<usize>>,
+    /// What a name in another encoding than UTF-8 may read, in lower case, as a path and without its folder; none where several files may.
+    by_reading: BTreeMap<String, Option<usize>>,
 }
 
 impl<'a> Upload<'a> {
@@ -38,6 +41,14 @@ impl<'a> Upload<'a> {
             upload.by_path.insert(entry.path.clone(), index);
             let name = file_name(&entry.path).to_lowercase();
             upload.by_name.entry(name).and_modify(|found| *found = None).or_insert(Some(index));
+            let paths = readings(&entry.path).into_iter().filter_map(|path| normalise(&path));
+            let mut read: Vec<String> =
+                paths.flat_map(|path| [file_name(&path).to_lowercase(), path.to_lowercase()]).collect();
+            read.sort_unstable();
+            read.dedup();
+            for reading in read {
+                upload.by_reading.entry(reading).and_modify(|found| *found = None).or_insert(Some(index));
+            }
         }
         upload
     }
@@ -47,8 +58,8 @@ impl<'a> Upload<'a> {
         &self.entries
     }
 
-    /// The file at a path; else, as browsers and archives lose folders and some file systems case, the only
-    /// one of that name.
+    /// The file at a path, byte by byte; else, as browsers and archives lose folders and some file systems case, the only
+    /// one of that name; else, as they spell names in other encodings, the only one that may read the same.
     pub(crate) fn find(&self, path: &str) -> Option<&UploadEntry<'a>> {
         let index = self.position(path)?;
         self.found.get(index)?.store(true, Ordering::Relaxed);
@@ -63,10 +74,15 @@ impl<'a> Upload<'a> {
 
     /// The index of what [`Upload::find`] finds.
     pub(crate) fn position(&self, path: &str) -> Option<usize> {
-        match self.by_path.get(path) {
+        let exact = |path: &str| match self.by_path.get(path) {
             Some(index) => Some(*index),
             None => self.by_name.get(&file_name(path).to_lowercase()).copied().flatten(),
-        }
+        };
+        let read = |path: &str| self.by_reading.get(&path.to_lowercase()).copied().flatten();
+        let either = |path: &str| exact(path).or_else(|| read(path)).or_else(|| read(file_name(path)));
+        exact(path)
+            .or_else(|| either(path))
+            .or_else(|| readings(path).iter().find_map(|path| either(&normalise(path)?)))
     }
 }
 

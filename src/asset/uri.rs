@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::ffi::OsStr;
 use std::path::Path;
 
+use super::name::readable;
 use base64::Engine;
 use base64::alphabet;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
@@ -108,6 +109,7 @@ pub(crate) fn extension(path: &str) -> String {
 
 /// A name from outside, short enough for a sentence.
 pub(crate) fn quote(name: &str) -> String {
+    let name = &*readable(name);
     let mut short: String = name.chars().take(80).collect();
     if short.len() < name.len() {
         short.push('…');

@@ -36,8 +36,8 @@ pub fn parse() -> Cli {
 /// them, and so does the picture that `importance` names by its path.
 fn read_input(paths: &[PathBuf], options: &Options) -> Result<Input> {
     let is_model = |path: &&PathBuf| {
-        let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-        matches!(extension.as_str(), "glb" | "gltf" | "obj" | "zip")
+        let is_zip = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip"));
+        is_zip || path.file_name().is_some_and(|name| asset::is_model_name(&name.to_string_lossy()))
     };
     let models: Vec<&PathBuf> = paths.iter().filter(is_model).collect();
     let side: Vec<PathBuf> = paths.iter().filter(|p| !is_model(p)).cloned().collect();
@@ -50,7 +50,7 @@ fn read_input(paths: &[PathBuf], options: &Options) -> Result<Input> {
         }
     }
     if models.is_empty() {
-        return Err(Failure::new(Code::InvalidRequest, "no input is a model (.glb, .gltf, .obj, .zip)"));
+        return Err(Failure::new(Code::InvalidRequest, "no input is a model (.glb, .gltf, .obj, .b3dm, .i3dm, .zip)"));
     }
     let read = |model: &PathBuf| read_paths(&[std::slice::from_ref(model), side.as_slice()].concat());
     let mut models: Vec<Vec<asset::File>> = models.into_iter().map(read).collect::<Result<_>>()?;

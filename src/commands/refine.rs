@@ -58,7 +58,9 @@ fn container(path: &Path) -> Result<Output> {
     match path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).as_deref() {
         Some("glb") => Ok(Output::Glb),
         Some("gltf") => Ok(Output::Gltf),
-        _ => Err(Failure::new(Code::InvalidRequest, "the output is a .glb or a .gltf")),
+        Some("b3dm") => Ok(Output::B3dm),
+        Some("i3dm") => Ok(Output::I3dm),
+        _ => Err(Failure::new(Code::InvalidRequest, "the output is a .glb, a .gltf, or the input's .b3dm or .i3dm")),
     }
 }
 
@@ -68,7 +70,9 @@ fn write_models(arguments: &Refine, input: &Input, outcome: &Outcome) -> Result<
     let output = &arguments.output;
     let extension = output.extension().unwrap_or_default();
     let folder = output.parent().unwrap_or(Path::new(""));
-    let is_model = |a: &&Artifact| a.role == "model" && Path::new(&a.name).extension() == Some(extension);
+    let is_model = |a: &&Artifact| {
+        a.role == "model" && Path::new(&a.name).extension().is_some_and(|e| e.eq_ignore_ascii_case(extension))
+    };
     let models: Vec<&Artifact> = outcome.artifacts.iter().filter(is_model).collect();
     if models.is_empty() {
         return Err(Failure::internal("the result has no model"));

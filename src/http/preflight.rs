@@ -7,11 +7,11 @@ use std::path::Path;
 
 use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
-use crate::asset::check_entries;
+use crate::asset::{TileHeader, check_entries, is_model_name, is_tile};
 use crate::error::{Code, Failure, Result};
 use crate::jobs::files::disk;
 
-/// Checks an uploaded model and says what it is: `glb`, `gltf`, `obj` or `zip`.
+/// Checks an uploaded model and says what it is: `glb`, `gltf`, `obj`, `b3dm`, `i3dm` or `zip`.
 ///
 /// # Errors
 /// `invalid_model` with what is broken, `too_large` for JSON over `max_json` bytes, `unsupported_media_type` for what is
@@ -29,8 +29,12 @@ pub(super) fn check(path: &Path, name: &str, max_json: u64) -> Result<&'static s
     let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&head);
     let first = text.iter().find(|b| !b.is_ascii_whitespace());
     if head.starts_with(b"glTF") {
-        glb(&mut file, &head, length, max_json)?;
+        glb(&mut file, 0, length, max_json)?;
         Ok("glb")
+    } else if is_tile(&head) {
+        let tile = TileHeader::read(&head, length)?;
+        glb(&mut file, tile.glb(), tile.length, max_json)?;
+        Ok(tile.kind.extension())
     } else if head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06") {
         file.rewind().map_err(failed)?;
         check_entries(name, &file)?;
@@ -47,13 +51,24 @@ pub(super) fn check(path: &Path, name: &str, max_json: u64) -> Result<&'static s
             "glb" => Err(Failure::model("the model is called .glb but does not start with the magic `glTF`")),
             "gltf" => Err(Failure::model("the model is called .gltf but is not a JSON object")),
             "zip" => Err(Failure::model("the model is called .zip but is not an archive")),
-            _ => Err(Failure::new(Code::UnsupportedMediaType, "the model is neither GLB, glTF, OBJ nor a zip of one")),
+            _ => Err(Failure::new(
+                Code::UnsupportedMediaType,
+                "the model is neither GLB, glTF, OBJ, a 3D tile (.b3dm, .i3dm) nor a zip of one",
+            )),
         }
     }
 }
 
-/// Header and first chunk of a GLB (glTF 2.0, 4.4).
-fn glb(file: &mut File, head: &[u8], length: u64, max_json: u64) -> Result<()> {
+/// Header and first chunk of the GLB (glTF 2.0, 4.4) between two places of a file.
+fn glb(file: &mut File, start: u64, end: u64, max_json: u64) -> Result<()> {
+    let failed = |e: std::io::Error| Failure::internal(e.kind().to_string());
+    let length = end.saturating_sub(start);
+    let mut head = Vec::new();
+    file.seek(SeekFrom::Start(start)).map_err(failed)?;
+    (&mut *file).take(length.min(20)).read_to_end(&mut head).map_err(failed)?;
+    if !head.starts_with(b"glTF") {
+        return Err(Failure::model("the tile holds no GLB: the magic `glTF` is not behind its tables"));
+    }
     let word = |at: usize| {
         let bytes = head.get(at..at + 4).and_then(|b| b.try_into().ok());
         bytes
@@ -73,7 +88,7 @@ fn glb(file: &mut File, head: &[u8], length: u64, max_json: u64) -> Result<()> {
     if chunk.saturating_add(20) > declared {
         return Err(Failure::model(format!("the JSON chunk of the GLB declares {chunk} bytes, more than there are")));
     }
-    file.seek(SeekFrom::Start(20)).map_err(|e| Failure::internal(e.kind().to_string()))?;
+    file.seek(SeekFrom::Start(start + 20)).map_err(failed)?;
     json(file, chunk, max_json)
 }
 
@@ -156,14 +171,10 @@ impl<'de> Visitor<'de> for Walked {
 fn zip(file: File) -> Result<()> {
     let archive = zip::ZipArchive::new(BufReader::new(file));
     let archive = archive.map_err(|e| Failure::model(format!("the zip is broken: {e}")))?;
-    let model = |name: &str| {
-        let name = name.to_ascii_lowercase();
-        [".glb", ".gltf", ".obj"].iter().any(|e| name.ends_with(e))
-    };
-    if archive.file_names().any(|name| name.is_ok_and(|name| model(&name))) {
+    if archive.file_names().any(|name| name.is_ok_and(|name| is_model_name(&name))) {
         Ok(())
     } else {
-        Err(Failure::model("the zip holds no .glb, .gltf or .obj"))
+        Err(Failure::model("the zip holds no .glb, .gltf, .obj, .b3dm or .i3dm"))
     }
 }
 

@@ -44,7 +44,7 @@ const MAX_PATH_BYTES: usize = 1024;
 #[serde(deny_unknown_fields)]
 #[expect(dead_code, reason = "describes the form in the OpenAPI document; its fields are read as a stream")]
 pub(super) struct Submission {
-    /// The model: .glb, .gltf, .obj or .zip. Several models share one atlas, and come out as `model-0`, `model-1`, …
+    /// The model: .glb, .gltf, .obj, .b3dm, .i3dm or .zip. Several models share one atlas, and come out as `model-0`, `model-1`, …
     #[schema(value_type = Vec<String>, format = Binary, min_items = 1)]
     model: Vec<Vec<u8>>,
     /// Files that the models, or `importance.texture`, name; the file name may hold a relative path.

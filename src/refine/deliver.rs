@@ -68,18 +68,23 @@ pub(super) fn deliver(
 /// The models as files: `model`, or `model-0`, `model-1`, … where there are several.
 fn models(documents: &[Document], output: Output) -> Result<Vec<Artifact>> {
     let stem = |index: usize| if documents.len() == 1 { "model".to_owned() } else { format!("model-{index}") };
-    match output {
-        Output::Glb => {
-            let glb = |(index, doc): (usize, &Document)| {
-                Ok(Artifact::new(format!("{}.glb", stem(index)), "model", "model/gltf-binary", doc.to_glb()?))
-            };
-            documents.iter().enumerate().map(glb).collect()
-        }
-        Output::Gltf => {
-            let named: Vec<(String, &Document)> = documents.iter().enumerate().map(|(i, d)| (stem(i), d)).collect();
-            Ok(asset::to_gltf(&named)?.into_iter().map(side_file).collect())
-        }
+    if output == Output::Gltf {
+        let named: Vec<(String, &Document)> = documents.iter().enumerate().map(|(i, d)| (stem(i), d)).collect();
+        return Ok(asset::to_gltf(&named)?.into_iter().map(side_file).collect());
     }
+    let model = |(index, doc): (usize, &Document)| {
+        let kind = doc.tile.as_ref().map(|tile| tile.kind);
+        let tile = if output.of(kind)? == Output::Glb { None } else { doc.to_tile()? };
+        Ok(match kind.zip(tile) {
+            // 3D Tiles 1.0 gives its tiles no media type of their own.
+            Some((kind, bytes)) => {
+                let name = format!("{}.{}", stem(index), kind.extension());
+                Artifact::new(name, "model", "application/octet-stream", bytes)
+            }
+            None => Artifact::new(format!("{}.glb", stem(index)), "model", "model/gltf-binary", doc.to_glb()?),
+        })
+    };
+    documents.iter().enumerate().map(model).collect()
 }
 
 fn side_file(file: File) -> Artifact {

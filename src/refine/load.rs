@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::group::{Group, can_join};
 use super::importance::{Importance, Subject, importances};
-use super::options::{ImportanceSource, Options};
+use super::options::{ImportanceSource, Options, Output};
 use super::refinement::Refinement;
 use super::run::Input;
 use super::textures::exempt_uniform;
@@ -187,6 +187,14 @@ fn read(
     let (mut doc, warnings, unused) = asset::load_while(files, main, &input.limits, &|| context.check())?;
     for warning in warnings {
         context.warn(warning);
+    }
+    let tile = doc.tile.as_ref().map(|tile| tile.kind);
+    if let (Output::Glb | Output::Gltf, Some(kind)) = (options.output.of(tile)?, tile) {
+        let name = kind.extension();
+        let text = format!(
+            "the model comes out of its .{name} without the feature table and the batch table, which may hold its place on the globe, its batches and its instances: ask for a .{name} to keep them"
+        );
+        context.warn(Warning::new("tile_unwrapped", text));
     }
     let mut index = MaterialIndex::new(&doc)?;
     let mut merge = None;

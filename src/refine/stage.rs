@@ -68,8 +68,8 @@ pub struct SheetInfo {
     pub mipmaps: bool,
     /// Whether there are no images at all.
     pub is_virtual: bool,
-    /// Whether any primitive is skinned or morphed.
-    pub animated: bool,
+    /// Whether any primitive is skinned or morphed, or so far from the origin that 32 bits hold no points between its vertices: it is better cut along edges.
+    pub along_edges: bool,
     /// Whether any image holds directions, which mirroring turns round.
     pub directions: bool,
     /// Whether several texture sets share the Atlas: that is a gain in itself.
@@ -97,7 +97,7 @@ impl SheetInfo {
             unit,
             mipmaps: slots().any(|s| s.mipmaps),
             is_virtual: set.slots.is_empty(),
-            animated: set.primitives.iter().any(|p| p.animated),
+            along_edges: set.primitives.iter().any(|p| p.along_edges),
             directions: set.slots.iter().any(|s| s.role.is_direction()),
             joined: false,
         }
@@ -112,7 +112,7 @@ impl SheetInfo {
             unit: 1,
             mipmaps: false,
             is_virtual: true,
-            animated: false,
+            along_edges: false,
             directions: false,
             joined: false,
         }

@@ -262,3 +262,38 @@ fn a_model_with_side_files_has_each_texture_once() {
     let archive = zip::ZipArchive::new(std::io::Cursor::new(fetch("result.zip"))).unwrap();
     assert_eq!(archive.len(), artifacts.len() - 1, "everything but the archive itself");
 }
+
+/// A tile comes back as a tile, by its name and by its magic; what is no tile to be refined is told at once.
+#[test]
+fn tiles_come_back_as_tiles() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let table = br#"{"BATCH_LENGTH":0}                    "#.get(..20).unwrap();
+    let word = |n: usize| u32::try_from(n).unwrap().to_le_bytes();
+    let glb = sample();
+    let length = word(28 + table.len() + glb.len());
+    let tile = [b"b3dm", &word(1)[..], &length, &word(table.len()), &[0; 12], table, glb].concat();
+    let mut response = server.post("/v1/jobs?recipe=pack", "application/octet-stream", &tile);
+    assert_eq!(response.status(), 202, "{:#}", json(&mut response));
+    let path = header(&response, "location").to_owned();
+    let job = server.wait(&path);
+    assert_eq!(job["state"], "succeeded", "{job:#}");
+    let model = artifact(&job, "model.b3dm");
+    assert_eq!(model["role"], "model");
+    let mut response = server.get(model["href"].as_str().unwrap(), &[]);
+    assert_eq!(header(&response, "content-type"), "application/octet-stream");
+    assert_eq!(header(&response, "content-disposition"), "attachment; filename=\"model.b3dm\"");
+    let whole = bytes(&mut response);
+    assert!(whole.starts_with(b"b3dm") && whole[8..12] == word(whole.len()) && whole.len().is_multiple_of(8));
+
+    for (bytes, status, words) in [
+        (&b"cmpt\x01\0\0\0\x10\0\0\0\x02\0\0\0"[..], 415, "splitCmpt"),
+        (&tile[..200], 400, "truncated"),
+        (&tile[..20], 400, "header is truncated"),
+    ] {
+        let mut response = server.post("/v1/jobs?recipe=pack", "application/octet-stream", bytes);
+        assert_eq!(response.status(), status);
+        let problem = json(&mut response);
+        assert!(problem["detail"].as_str().unwrap().contains(words), "{problem:#}");
+    }
+}

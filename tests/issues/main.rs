@@ -3,3 +3,6 @@
 mod compressed_streams;
 mod extensions;
 mod layouts;
+mod names;
+mod numbers;
+mod tiles;

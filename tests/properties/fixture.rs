@@ -27,6 +27,8 @@ pub fn tiny() -> Document {
         images: Vec::new(),
         name: "tiny".to_owned(),
         merging: Default::default(),
+        tile: None,
+        undefined: Default::default(),
     };
     let places = [[0.5, 0.5], [0.25, 0.75], [0.25, 0.25], [0.75, 0.25], [0.75, 0.75]];
     let mut floats = |values: &RawAccessor, bounds| doc.append_accessor(values, Some(ARRAY_BUFFER), bounds);

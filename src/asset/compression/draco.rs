@@ -30,16 +30,20 @@ pub(super) struct Bounds {
     pub(super) bytes: u64,
 }
 
-/// Decodes a stream.
+/// Decodes a stream within the first bounds, which its accessors declare; should it hold more than these, within the others.
 ///
 /// # Errors
 /// `invalid_model` for a broken stream or one beyond the bounds, and what `check` says.
-pub(super) fn decode(stream: &[u8], bounds: Bounds, check: &dyn Fn() -> Result<()>) -> Result<Mesh> {
+pub(super) fn decode(stream: &[u8], [declared, most]: [Bounds; 2], check: &dyn Fn() -> Result<()>) -> Result<Mesh> {
     let (sender, receiver) = mpsc::channel();
     let stream = stream.to_vec();
     let work = move || {
+        let decoded = read(&stream, declared).or_else(|failure| match failure {
+            (ErrorKind::LimitExceeded, _) => read(&stream, most),
+            other => Err(other),
+        });
         // Nobody listens any more where the job was cancelled.
-        let _ = sender.send(read(&stream, bounds));
+        let _ = sender.send(decoded.map_err(|(_, failure)| failure));
     };
     let thread = thread::Builder::new().name("draco".to_owned()).stack_size(STACK).spawn(work);
     thread.map_err(|e| Failure::internal(format!("no thread to decode on: {e}")))?;
@@ -53,23 +57,24 @@ pub(super) fn decode(stream: &[u8], bounds: Bounds, check: &dyn Fn() -> Result<(
     Err(Failure::model("the Draco stream takes more than three minutes to decode"))
 }
 
-fn read(stream: &[u8], bounds: Bounds) -> Result<Mesh> {
+fn read(stream: &[u8], bounds: Bounds) -> std::result::Result<Mesh, (ErrorKind, Failure)> {
     let limits = DecodeLimits::default().with_max_faces(bounds.faces).with_max_decoded_bytes(bounds.bytes);
     let mut mesh = Mesh::new();
     let decoded = MeshDecoder::new().decode(&mut DecoderBuffer::new(stream).with_limits(limits), &mut mesh);
     decoded.map_err(|e| {
-        Failure::model(match e.kind() {
+        let failure = Failure::model(match e.kind() {
             ErrorKind::LimitExceeded => format!("the Draco stream holds more than its accessors: {}", e.message()),
             _ => format!("the Draco stream is broken: {}", e.message()),
-        })
+        });
+        (e.kind(), failure)
     })?;
     Ok(mesh)
 }
 
-/// The triangles' indices, in a type of unsigned integers.
+/// The triangles' indices, in the type that the accessor has, or a wider one where that is too narrow.
 ///
 /// # Errors
-/// What does not fit, in words.
+/// An accessor that holds no indices, in words.
 pub(super) fn indices(mesh: &Mesh, component: ComponentType) -> std::result::Result<RawAccessor, String> {
     let most = match component {
         ComponentType::U8 => u32::from(u8::MAX),
@@ -78,10 +83,8 @@ pub(super) fn indices(mesh: &Mesh, component: ComponentType) -> std::result::Res
         _ => return Err("indices have componentType 5121, 5123 or 5125".to_owned()),
     };
     let values: Vec<u32> = mesh.faces().iter().flatten().map(|point| point.0).collect();
-    match values.iter().find(|value| **value > most) {
-        Some(value) => Err(format!("index {value} does not fit its componentType")),
-        None => Ok(RawAccessor::from_unsigned(component, Kind::Scalar, &values)),
-    }
+    let fits = values.iter().all(|value| *value <= most);
+    Ok(RawAccessor::from_unsigned(if fits { component } else { ComponentType::U32 }, Kind::Scalar, &values))
 }
 
 /// The values of a vertex attribute by vertex, in the accessor's type.

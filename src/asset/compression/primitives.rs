@@ -11,13 +11,17 @@ use crate::asset::accessor::RawAccessor;
 use crate::asset::accessor_layout::{self, AccessorLayout};
 use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, set_bounds};
 use crate::asset::extensions::{DRACO, undeclare};
-use crate::asset::json::{array, each_mut, list, object, read, read_key};
+use crate::asset::json::{array, each_mut, list, number, object, read, read_key};
 use crate::asset::limits::{Budget, Limits};
 use crate::asset::{ComponentType, Document, Kind};
 use crate::error::{Code, Failure, Result, Warning};
 
 /// Bytes that the attributes of one vertex may take in a stream: it may hold more than the primitive names.
 const MOST_VERTEX_BYTES: u64 = 1024;
+
+/// Triangles that a byte of a stream may hold at most, where the accessors declare fewer than there are: encoders need a bit for each, and less only
+/// for the plainest of grids.
+const MOST_FACES_PER_BYTE: u64 = 64;
 
 /// The extension of a primitive.
 #[derive(Deserialize)]
@@ -39,8 +43,8 @@ struct Job {
     attributes: Vec<(String, usize, u32)>,
     /// AccessorLayout of the indices.
     indices: Option<usize>,
-    /// Whether it has attributes or morph targets outside the stream, whose elements go with those inside.
-    mixed: bool,
+    /// Accessors of attributes and morph targets outside the stream, whose elements go with those inside.
+    outside: Vec<usize>,
 }
 
 /// What fills an accessor: a buffer view and an attribute's number in it, or its indices.
@@ -121,9 +125,11 @@ fn job(value: &Value, own: &str, mesh: usize, primitive: usize) -> Result<Option
         attributes.push((name.clone(), accessor, id));
     }
     let indices = read_key(value, "indices", own)?;
-    let mut names = object(value, "attributes").into_iter().flat_map(|plain| plain.keys());
-    let mixed = names.any(|name| !stream.attributes.contains_key(name)) || !array(value, "targets").is_empty();
-    Ok(Some(Job { mesh, primitive, pointer, view: stream.buffer_view, attributes, indices, mixed }))
+    let own_names = object(value, "attributes").into_iter().flatten();
+    let plain = own_names.filter(|(name, _)| !stream.attributes.contains_key(name.as_str()));
+    let targets = array(value, "targets").iter().filter_map(Value::as_object).flatten();
+    let outside = plain.chain(targets).filter_map(|(_, accessor)| number(accessor)).collect();
+    Ok(Some(Job { mesh, primitive, pointer, view: stream.buffer_view, attributes, indices, outside }))
 }
 
 /// Decodes one primitive; gives the bytes of its elements.
@@ -154,8 +160,12 @@ fn decode(
     let vertices = accessors.iter().map(|a| a.count).max().unwrap_or(0);
     let stream = document.view_bytes(job.view).map_err(|e| e.at(format!("{}/bufferView", job.pointer)))?;
     let most = (vertices.max(indices.count) as u64).saturating_mul(MOST_VERTEX_BYTES);
-    let bounds = Bounds { faces: indices.count as u64 / 3, bytes: most.min(limits.max_input_bytes) };
-    let mesh = draco::decode(stream, bounds, check).map_err(|e| match e.code {
+    let declared = Bounds { faces: indices.count as u64 / 3, bytes: most.min(limits.max_input_bytes) };
+    // Accessors may declare fewer than there are: what the stream can hold by its length counts then.
+    let faces = (stream.len() as u64).saturating_mul(MOST_FACES_PER_BYTE).min(limits.max_triangles);
+    let bytes = faces.saturating_mul(3 * MOST_VERTEX_BYTES).min(limits.max_input_bytes);
+    let held = Bounds { faces: faces.max(declared.faces), bytes: bytes.max(declared.bytes) };
+    let mesh = draco::decode(stream, [declared, held], check).map_err(|e| match e.code {
         Code::Canceled => e,
         _ => e.at(job.pointer.clone()),
     })?;
@@ -168,7 +178,8 @@ fn decode(
             "the Draco stream holds {points} vertices and {corners} indices, and the accessors declare {vertices} and {}",
             indices.count
         );
-        if job.mixed {
+        // What stands outside has as many elements as the stream, or nobody knows which belongs to which.
+        if job.outside.iter().any(|index| accessor(*index).is_ok_and(|a| a.count != points)) {
             return Err(Failure::model(message).at(job.pointer.clone()));
         }
         warnings.push(Warning::new("accessor_count_corrected", message).at(own.clone()));
@@ -224,6 +235,7 @@ fn fill(
     }
     object["bufferView"] = Value::from(view);
     object["count"] = Value::from(raw.count);
+    object["componentType"] = Value::from(raw.component_type.as_gl_enum());
     if bounds {
         set_bounds(&mut object, raw);
     }

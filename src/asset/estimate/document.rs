@@ -12,6 +12,7 @@ use super::super::json::{array, number, whole};
 use super::super::limits::Limits;
 use super::super::load::Container;
 use super::super::primitive::declared_triangles;
+use super::super::tile::{HEAD, TileHeader};
 use super::super::uri;
 use super::files::{Files, Forward, Stream};
 use super::sum::Sum;
@@ -36,10 +37,20 @@ pub(super) struct DocumentOutline {
 
 /// Adds what the document in a file needs to `sum`. What is broken counts as nothing.
 pub(super) fn add(files: &mut Files, index: usize, container: Container, limits: &Limits, sum: &mut Sum) {
+    let glb = |file: &mut dyn Forward| {
+        let mut head = Vec::new();
+        Read::take(&mut *file, HEAD as u64).read_to_end(&mut head).ok()?;
+        TileHeader::read(&head, u64::MAX).ok().map(|header| header.glb())
+    };
+    let start = match container {
+        Container::Tile => files.open(index, glb).flatten(),
+        _ => Some(0),
+    };
+    let Some(glb) = start else { return };
     let read = |string: usize| {
         move |file: &mut dyn Forward| {
             let (start, length, bin) = match container {
-                Container::Glb => chunks(file)?,
+                Container::Glb | Container::Tile => chunks(file, glb)?,
                 _ => (0, limits.max_json_bytes, 0),
             };
             file.to(start).ok()?;
@@ -73,12 +84,15 @@ pub(super) fn add(files: &mut Files, index: usize, container: Container, limits:
     }
 }
 
-/// Where the JSON of a GLB begins, its length, and where the binary chunk begins.
-fn chunks(file: &mut dyn Forward) -> Option<(u64, u64, u64)> {
+/// Where the JSON of the GLB at an offset begins, its length, and where the binary chunk begins.
+fn chunks(file: &mut dyn Forward, offset: u64) -> Option<(u64, u64, u64)> {
     let mut head = [0; 20];
+    if offset > 0 {
+        file.to(offset).ok()?;
+    }
     file.read_exact(&mut head).ok()?;
     let length = u64::from(u32::from_le_bytes([head[12], head[13], head[14], head[15]]));
-    head.starts_with(glb::MAGIC).then_some((20, length, 28 + length))
+    head.starts_with(glb::MAGIC).then_some((offset + 20, length, offset + 28 + length))
 }
 
 impl DocumentOutline {

@@ -9,6 +9,7 @@ use zip::ZipArchive;
 use super::super::archive::{check_entries, is_litter, is_zip, too_much};
 use super::super::limits::Limits;
 use super::super::load::{Container, container};
+use super::super::name::from_bytes;
 use super::super::upload::{Upload, UploadEntry, clean_path};
 use super::super::uri::normalise;
 use crate::error::Result;
@@ -123,7 +124,7 @@ impl Files {
         let Ok(mut archive) = ZipArchive::new(BufReader::new(file)) else { return Ok(()) };
         for index in 0..archive.len() {
             let Ok(file) = archive.by_index(index) else { continue };
-            let inner = String::from_utf8_lossy(file.name_raw()).into_owned();
+            let inner = from_bytes(file.name_raw());
             let Some(path) = normalise(&inner).filter(|_| !file.is_dir() && !is_litter(&inner)) else { continue };
             let mut entry = UploadEntry { path, bytes: Vec::new().into() };
             let mut stream = Stream::new(file.take(self.left.saturating_add(1)));

@@ -47,7 +47,9 @@ pub(super) fn covered(document: &DocumentOutline, model: usize, files: &mut File
         };
         for corners in corners.chunks_exact(3) {
             let [a, b, c] = [*points.get(corners[0])?, *points.get(corners[1])?, *points.get(corners[2])?];
-            area += ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])).abs() / 2.0;
+            let own = ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])).abs() / 2.0;
+            // Triangles of which a number is not finite are held back.
+            area += if own.is_finite() { own } else { 0.0 };
         }
     }
     Some(area)

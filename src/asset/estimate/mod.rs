@@ -71,7 +71,9 @@ pub fn estimate(
                 // Its materials may name any of the images.
                 all.known().iter().filter(|k| k.image.is_some()).for_each(|k| sum.encoded += k.length);
             }
-            Container::Glb | Container::Gltf => document::add(&mut all, index, container, limits, &mut sum),
+            Container::Glb | Container::Gltf | Container::Tile => {
+                document::add(&mut all, index, container, limits, &mut sum)
+            }
         }
     }
     sum.check(limits)?;

@@ -132,7 +132,13 @@ fn images_are_found_wherever_they_are() {
     assert_eq!(texels(&[("m.gltf", &in_bin), ("x.bin", &buffer)]), both);
     assert_eq!(texels(&[("m.zip", &zip(&[("m.gltf", &in_bin), ("x.bin", &buffer)]))]), both);
     assert_eq!(texels(&[("m.gltf", &gltf(&inside, views(Some(&data_uri(&buffer)))))]), both);
-    assert_eq!(texels(&[("m.glb", &glb::build(gltf(&inside, views(None)), &buffer).unwrap())]), both);
+    let glb = glb::build(gltf(&inside, views(None)), &buffer, 4).unwrap();
+    assert_eq!(texels(&[("m.glb", &glb)]), both);
+    // A tile without tables: its header is shorter than what is read to tell it.
+    let word = |n: usize| (n as u32).to_le_bytes();
+    let tile = [b"b3dm".as_slice(), &word(1), &word(28 + glb.len()), &[0; 16], &glb].concat();
+    assert_eq!(texels(&[("m.b3dm", &tile)]), both);
+    assert_eq!(texels(&[("m.zip", &zip(&[("m.b3dm", &tile)]))]), both);
     // Behind the part of a string that is read at first.
     let far = [vec![0; 200_000], first.clone()].concat();
     let mut deep = views(Some(&data_uri(&far)));

@@ -9,7 +9,9 @@ use super::join::{joined, key};
 use super::shown;
 use crate::asset::Document;
 use crate::asset::json::{array, each_mut, keep, new_numbers, number, renumber};
+use crate::asset::precision::{bounding_box, is_far, remoteness};
 use crate::asset::primitive::{declared_triangles, primitive_pointer};
+use crate::asset::read_vec3;
 use crate::error::Result;
 
 /// A mesh that several nodes show is copied into another only where it has no more triangles than this.
@@ -78,8 +80,11 @@ pub(super) fn across_nodes(doc: &mut Document) -> Result<()> {
             }
         }
     }
-    let mut order: Vec<Vec<(usize, usize)>> =
-        groups.into_values().filter(|g| g.iter().any(|m| m.0 != g[0].0)).collect();
+    let mut order = Vec::new();
+    for group in groups.into_values() {
+        let near = neighbourhoods(doc, &static_nodes, group)?;
+        order.extend(near.into_iter().filter(|g| g.iter().any(|m| m.0 != g[0].0)));
+    }
     order.sort();
     // By still: what its primitives become; none for those that went elsewhere.
     let mut fresh: BTreeMap<usize, Vec<Option<Value>>> = BTreeMap::new();
@@ -126,6 +131,45 @@ pub(super) fn across_nodes(doc: &mut Document) -> Result<()> {
     }
     drop_unused_meshes(doc, &uses);
     Ok(())
+}
+
+/// Neighbourhoods of one group that primitives are tried in, the latest first.
+const MOST_TRIED: usize = 16;
+
+/// A group by where its primitives are: what lies so far from the first of a neighbourhood that 32 bits would not hold its shape in that one's space begins
+/// one of its own.
+fn neighbourhoods(
+    doc: &Document,
+    nodes: &[StaticNode],
+    group: Vec<(usize, usize)>,
+) -> Result<Vec<Vec<(usize, usize)>>> {
+    let mut all: Vec<(DMat4, Vec<(usize, usize)>)> = Vec::new();
+    for (s, p) in group {
+        let (low, high) = own_box(doc, nodes[s].mesh, p)?;
+        let stays_near = |inverse: &DMat4| {
+            let own = *inverse * nodes[s].world;
+            let corner =
+                |i: usize| DVec3::from_array(std::array::from_fn(|k| if i >> k & 1 == 0 { low[k] } else { high[k] }));
+            let moved = bounding_box((0..8).map(|i| own.transform_point3(corner(i)).to_array()));
+            // What was far away in its own space loses nothing more.
+            !is_far(moved.0, moved.1) || remoteness(moved.0, moved.1) <= 2.0 * remoteness(low, high)
+        };
+        let near = all.iter_mut().rev().take(MOST_TRIED).find(|(inverse, _)| stays_near(inverse));
+        match near {
+            Some((_, own)) => own.push((s, p)),
+            None => all.push((nodes[s].world.inverse(), vec![(s, p)])),
+        }
+    }
+    Ok(all.into_iter().map(|(_, own)| own).collect())
+}
+
+/// The box of a primitive in the space of its node.
+fn own_box(doc: &Document, mesh: usize, primitive: usize) -> Result<([f64; 3], [f64; 3])> {
+    let attributes = doc.json.pointer(&format!("{}/attributes", primitive_pointer(mesh, primitive)));
+    let Some(accessor) = attributes.and_then(|a| a.get("POSITION")).and_then(number) else {
+        return Ok(bounding_box(std::iter::empty()));
+    };
+    Ok(bounding_box(read_vec3(doc, accessor)?.into_iter().map(|p| p.map(f64::from))))
 }
 
 /// Takes out the meshes that no node shows any more.

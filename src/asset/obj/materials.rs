@@ -2,12 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use encoding_rs::Encoding;
 use percent_encoding::utf8_percent_encode;
 use serde_json::{Value, json};
 
 use super::mtl::{Map, Mtl};
 use crate::asset::Document;
 use crate::asset::extensions::TEXTURE_TRANSFORM;
+use crate::asset::name::readable_in;
 use crate::asset::upload::Upload;
 use crate::asset::uri::{self, quote};
 use crate::error::{Code, Failure, Result, Warning};
@@ -16,13 +18,13 @@ use crate::error::{Code, Failure, Result, Warning};
 const MOST_WORDS: usize = 12;
 const MOST_LINE: usize = 256;
 
-/// Reads the libraries that an OBJ names; the first definition of a name counts.
+/// Reads the libraries that an OBJ names; the first definition of a name counts. Says too whether one is missing.
 pub(crate) fn read_libraries(
     names: &[String],
     model_path: &str,
     upload: &Upload<'_>,
     warnings: &mut Vec<Warning>,
-) -> BTreeMap<String, (String, Mtl)> {
+) -> (BTreeMap<String, (String, Mtl)>, bool) {
     let mut found = BTreeMap::new();
     // Lines may name one file a million times.
     let (mut read, mut missing) = (BTreeSet::new(), BTreeSet::new());
@@ -46,7 +48,7 @@ pub(crate) fn read_libraries(
             }
         }
     }
-    found
+    (found, !missing.is_empty())
 }
 
 /// The names in a line of libraries: one with blanks, or several, which may have blanks too, or stand in quotes. A name is whatever `is_there`; what
@@ -115,12 +117,19 @@ pub(crate) struct Materials<'m> {
     left: u64,
     images: BTreeMap<String, usize>,
     textures: BTreeMap<(usize, bool), usize>,
+    /// In which the OBJ's names are, where they are not UTF-8.
+    encoding: Option<&'static Encoding>,
 }
 
 impl<'m> Materials<'m> {
-    /// For a model at `model_path` in `upload`.
-    pub(crate) fn new(upload: &'m Upload<'m>, model_path: &'m str, max_bytes: u64) -> Self {
-        Materials { upload, model_path, left: max_bytes, images: BTreeMap::new(), textures: BTreeMap::new() }
+    /// For a model at `model_path` in `upload`, whose names are in `encoding` where they are not UTF-8.
+    pub(crate) fn new(
+        upload: &'m Upload<'m>,
+        model_path: &'m str,
+        max_bytes: u64,
+        encoding: Option<&'static Encoding>,
+    ) -> Self {
+        Materials { upload, model_path, left: max_bytes, images: BTreeMap::new(), textures: BTreeMap::new(), encoding }
     }
 
     /// Appends a material; `library` is the path of its MTL file. Gives its index.
@@ -136,7 +145,7 @@ impl<'m> Materials<'m> {
     ) -> Result<usize> {
         let mut pbr =
             json!({ "metallicFactor": mtl.metallic.unwrap_or(0.0), "roughnessFactor": mtl.roughness.unwrap_or(1.0) });
-        let mut material = json!({ "name": mtl.name });
+        let mut material = json!({ "name": readable_in(&mtl.name, self.encoding) });
         let opacity = mtl.dissolve.unwrap_or(1.0);
         // Scans write a grey Kd beside their map; the map alone is meant.
         let [r, g, b] = match mtl.map_diffuse {
@@ -242,9 +251,10 @@ impl<'m> Materials<'m> {
             return Ok(*index);
         }
         let folder = self.model_path.rfind('/').and_then(|end| self.model_path.get(..=end)).unwrap_or_default();
-        let relative = path.strip_prefix(folder).unwrap_or(&path);
-        let image =
-            json!({ "name": uri::stem(&path), "uri": utf8_percent_encode(relative, &uri::RESERVED).to_string() });
+        // Written as UTF-8, whatever it came in.
+        let relative = readable_in(path.strip_prefix(folder).unwrap_or(&path), self.encoding);
+        let uri = utf8_percent_encode(&relative, &uri::RESERVED).to_string();
+        let image = json!({ "name": uri::stem(&relative), "uri": uri });
         let index = doc.push("images", image);
         if let Some(file) = file {
             self.left = self.left.checked_sub(file.bytes.len() as u64).ok_or_else(|| {

@@ -17,6 +17,7 @@ use serde_json::json;
 
 use super::Document;
 use super::limits::Limits;
+use super::name;
 use super::upload::{Upload, UploadEntry};
 use super::uri::{self, quote};
 use crate::error::{Failure, Result, Warning};
@@ -40,9 +41,17 @@ pub(crate) fn load(
         return Err(Failure::model(format!("the file {} holds no OBJ vertices", quote(&entry.path))));
     }
     warn_of_dropped(&geometry, warnings);
-    let name = uri::stem(&entry.path).to_owned();
+    let name = uri::stem(&name::readable(&entry.path)).to_owned();
     let json = json!({ "asset": { "version": "2.0", "generator": "intarsia" }, "scene": 0 });
-    let mut document = Document { json, buffers: Vec::new(), images: Vec::new(), name, merging: Default::default() };
+    let mut document = Document {
+        json,
+        buffers: Vec::new(),
+        images: Vec::new(),
+        name,
+        merging: Default::default(),
+        tile: None,
+        undefined: Default::default(),
+    };
     let parts = primitives::build(&geometry, warnings);
     let materials = add_materials(&mut document, &geometry, &parts, entry, upload, limits, warnings)?;
     let mut primitives = Vec::with_capacity(parts.len());
@@ -62,7 +71,8 @@ pub(crate) fn load(
         document.push("scenes", json!({}));
         return Ok(document);
     }
-    let name = geometry.name.clone().unwrap_or_else(|| document.name.clone());
+    let own = geometry.name.as_ref().map(|own| name::readable_in(own, encoding(&geometry)).into_owned());
+    let name = own.unwrap_or_else(|| document.name.clone());
     let mesh = document.push("meshes", json!({ "name": name, "primitives": primitives }));
     let mut node = json!({ "name": name, "mesh": mesh });
     if let Some(origin) = geometry.origin {
@@ -105,9 +115,12 @@ fn add_materials(
     limits: &Limits,
     warnings: &mut Vec<Warning>,
 ) -> Result<BTreeMap<u32, usize>> {
-    let libraries = materials::read_libraries(&geometry.libraries, &entry.path, upload, warnings);
-    let mut made = Materials::new(upload, &entry.path, limits.max_input_bytes);
+    let (libraries, is_one_missing) = materials::read_libraries(&geometry.libraries, &entry.path, upload, warnings);
+    let mut made = Materials::new(upload, &entry.path, limits.max_input_bytes, encoding(geometry));
     let mut indices = BTreeMap::new();
+    // A model and its library may be in two encodings.
+    let by_reading: BTreeMap<String, &String> =
+        libraries.keys().map(|name| (name::readable(name).into_owned(), name)).collect();
     for part in parts {
         let Some(name) = geometry.materials.get(part.material as usize).filter(|_| part.material != NONE) else {
             continue;
@@ -116,7 +129,11 @@ fn add_materials(
             continue;
         }
         let plain;
-        let (library, mtl) = match libraries.get(name) {
+        let found = libraries.get(name).or_else(|| {
+            let mut readings = name::readings(name).into_iter().chain([name.clone()]);
+            readings.find_map(|reading| libraries.get(*by_reading.get(&reading)?))
+        });
+        let (library, mtl) = match found {
             Some((library, mtl)) => (library.as_str(), mtl),
             None => {
                 let message = format!("no material library defines {}", quote(name));
@@ -125,9 +142,19 @@ fn add_materials(
                 (entry.path.as_str(), &plain)
             }
         };
-        indices.insert(part.material, made.add(document, library, mtl, warnings)?);
+        let index = made.add(document, library, mtl, warnings)?;
+        if found.is_none() && is_one_missing {
+            document.undefined.insert(index);
+        }
+        indices.insert(part.material, index);
     }
     Ok(indices)
+}
+
+/// The encoding of the names in a file.
+fn encoding(geometry: &ObjGeometry) -> Option<&'static encoding_rs::Encoding> {
+    let names = geometry.libraries.iter().chain(&geometry.materials).chain(&geometry.name);
+    name::encoding(names.map(String::as_str))
 }
 
 fn warn_of_dropped(geometry: &ObjGeometry, warnings: &mut Vec<Warning>) {
@@ -140,6 +167,17 @@ fn warn_of_dropped(geometry: &ObjGeometry, warnings: &mut Vec<Warning>) {
     if let Some((count, line)) = geometry.thin {
         let message = format!("{count} faces of fewer than three corners are dropped, the first in line {line}");
         warnings.push(Warning::new("degenerate_faces_dropped", message));
+    }
+    if let Some((count, line)) = geometry.without_position {
+        let message =
+            format!("{count} faces with a position that is NaN or infinite are dropped, the first in line {line}");
+        warnings.push(Warning::new("non_finite_triangles", message));
+    }
+    if let Some((count, line)) = geometry.without_uv {
+        let message = format!(
+            "{count} faces with a texture coordinate that is NaN or infinite are kept without any, the first in line {line}"
+        );
+        warnings.push(Warning::new("non_finite_triangles", message));
     }
     if geometry.others > 0 {
         let message = format!("{} lines, points, curves or surfaces of the OBJ are dropped", geometry.others);
@@ -164,7 +202,7 @@ pub(crate) fn libraries(text: &[u8]) -> Vec<String> {
     let mut lines = Lines::new(text);
     while let Some((_, line)) = lines.next_line() {
         if let (b"mtllib", rest) = keyword(line) {
-            let rest = String::from_utf8_lossy(rest);
+            let rest = name::from_bytes(rest);
             let clean = materials::possible_names(&rest)
                 .into_iter()
                 .filter_map(|n| uri::join("", n).or_else(|| uri::normalise(uri::file_name(n))));
@@ -186,7 +224,7 @@ pub(crate) fn maps(text: &[u8]) -> Vec<String> {
 
 /// Bytes of a line, for a sentence.
 fn quote_bytes(bytes: &[u8]) -> String {
-    quote(&String::from_utf8_lossy(bytes.get(..bytes.len().min(80)).unwrap_or_default()))
+    quote(&name::from_bytes(bytes.get(..bytes.len().min(80)).unwrap_or_default()))
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::lines::{Lines, keyword, words};
 use super::number::float;
+use crate::asset::name::from_bytes;
 
 /// A texture map.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,7 +55,7 @@ pub(crate) fn parse(text: &[u8]) -> Vec<Mtl> {
     while let Some((_, line)) = lines.next_line() {
         let (key, rest) = keyword(line);
         if key.eq_ignore_ascii_case(b"newmtl") {
-            materials.push(Mtl { name: String::from_utf8_lossy(rest).into_owned(), ..Mtl::default() });
+            materials.push(Mtl { name: from_bytes(rest), ..Mtl::default() });
             continue;
         }
         let Some(material) = materials.last_mut() else { continue };
@@ -133,7 +134,7 @@ fn map(rest: &[u8]) -> Option<Map> {
         }
         rest = arguments;
     }
-    map.file = String::from_utf8_lossy(rest).trim_matches('"').to_owned();
+    map.file = from_bytes(rest).trim_matches('"').to_owned();
     (!map.file.is_empty()).then_some(map)
 }
 

@@ -7,9 +7,16 @@ const POWERS: [f64; 23] = [
 ];
 
 /// The f32 nearest to a decimal number, ties to even: the same value as `str::parse` gives, which also takes over
-/// where the short way is not exact. NaN and infinity parse; callers refuse them.
+/// where the short way is not exact. NaN and infinity parse; callers look at what is not finite.
 pub(crate) fn float(token: &[u8]) -> Option<f32> {
-    short_float(token).or_else(|| std::str::from_utf8(token).ok()?.parse().ok())
+    let parsed = || std::str::from_utf8(token).ok()?.parse().ok();
+    short_float(token).or_else(parsed).or_else(|| is_printed_nan(token).then_some(f32::NAN))
+}
+
+/// What C libraries print for numbers that are none: `-nan(ind)`, `1.#QNAN`, `-1.#IND00`, `1.#INF`.
+fn is_printed_nan(token: &[u8]) -> bool {
+    let digits = token.strip_prefix(b"-").or(token.strip_prefix(b"+")).unwrap_or(token).to_ascii_lowercase();
+    digits.starts_with(b"1.#") || digits.starts_with(b"nan(")
 }
 
 /// W. D. Clinger, *How to read floating point numbers accurately* (1990): up to 53 bits of digits and a power of ten

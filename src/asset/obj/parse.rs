@@ -4,6 +4,8 @@ use super::lines::{Lines, keyword, words};
 use super::number::{float, integer};
 use super::quote_bytes;
 use crate::asset::limits::Limits;
+use crate::asset::name::from_bytes;
+use crate::asset::precision::{NEAR, is_far};
 use crate::error::{Code, Failure, Result};
 
 /// No texture coordinate, no normal, no material.
@@ -44,6 +46,10 @@ pub(crate) struct ObjGeometry {
     pub(crate) origin: Option<[f64; 3]>,
     /// The line of the first face that names a texture coordinate, where the file has none.
     pub(crate) lacks_uvs: Option<u32>,
+    /// Faces that were left out because a position of theirs is not finite, and the line of the first.
+    pub(crate) without_position: Option<(usize, usize)>,
+    /// Faces that have no texture coordinates because one of theirs is not finite, and the line of the first.
+    pub(crate) without_uv: Option<(usize, usize)>,
 }
 
 /// A polygon.
@@ -70,7 +76,7 @@ impl ObjGeometry {
 /// Reads an OBJ file.
 ///
 /// # Errors
-/// `invalid_model` with the line number: a number that is none, NaN or infinite, an index that is out of range;
+/// `invalid_model` with the line number: a number that is none, an index that is out of range;
 /// `too_large` beyond the limit on triangles.
 pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
     let mut geometry = ObjGeometry { origin: far_origin(bytes), ..ObjGeometry::default() };
@@ -85,7 +91,7 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
         match key {
             b"v" => vertex(&mut geometry, rest, number)?,
             b"vt" => {
-                let [u, v, _] = numbers(rest, number, 1)?;
+                let [u, v, _] = numbers(rest, number)?;
                 geometry.uvs.push([u, v]);
             }
             b"vn" => geometry.normals.push(normal(rest, number)?),
@@ -103,15 +109,15 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
                     let message = format!("line {number}: the model has more than {MOST_MATERIALS} materials");
                     return Err(Failure::new(Code::TooLarge, message));
                 }
-                let name = String::from_utf8_lossy(rest).into_owned();
+                let name = from_bytes(rest);
                 material = *known.entry(name).or_insert_with_key(|name| {
                     geometry.materials.push(name.clone());
                     next
                 });
             }
-            b"mtllib" => geometry.libraries.push(String::from_utf8_lossy(rest).into_owned()),
+            b"mtllib" => geometry.libraries.push(from_bytes(rest)),
             b"o" if geometry.name.is_none() && !rest.is_empty() => {
-                geometry.name = Some(String::from_utf8_lossy(rest).into_owned());
+                geometry.name = Some(from_bytes(rest));
             }
             b"l" | b"p" | b"curv" | b"curv2" | b"surf" => geometry.others += 1,
             _ => {}
@@ -126,13 +132,33 @@ pub(crate) fn parse(bytes: &[u8], limits: &Limits) -> Result<ObjGeometry> {
         geometry.corners.iter_mut().for_each(|corner| corner[1] = NONE);
     }
     check(&geometry)?;
+    hold_back(&mut geometry);
     Ok(geometry)
 }
 
-/// Coordinates below this are near the origin.
-const NEAR: f64 = 1000.0;
-/// Distance from the origin, in parts of the model's extent, from which on 32 bits are too few.
-const FAR: f64 = 32.0;
+/// Leaves out the faces of which a position is not finite, and takes their texture coordinates from those of which one of these is not.
+fn hold_back(geometry: &mut ObjGeometry) {
+    let bad = |numbers: &[f32]| numbers.iter().any(|x| !x.is_finite());
+    if !geometry.positions.iter().any(|p| bad(p)) && !geometry.uvs.iter().any(|uv| bad(uv)) {
+        return;
+    }
+    let mut faces = std::mem::take(&mut geometry.faces);
+    faces.retain(|face| {
+        let is_bad = geometry.corners_of(face).iter().any(|c| bad(&geometry.positions[c[0] as usize]));
+        if is_bad {
+            geometry.without_position.get_or_insert((0, face.line as usize)).0 += 1;
+            return false;
+        }
+        let has_bad_uv = |c: &Corner| geometry.uvs.get(c[1] as usize).is_some_and(|uv| bad(uv));
+        if geometry.corners_of(face).iter().any(has_bad_uv) {
+            geometry.without_uv.get_or_insert((0, face.line as usize)).0 += 1;
+            let start = face.start as usize;
+            geometry.corners[start..start + face.count as usize].iter_mut().for_each(|corner| corner[1] = NONE);
+        }
+        true
+    });
+    geometry.faces = faces;
+}
 
 /// The middle of a model in whole units where that is so far from the origin that 32 bits would move its vertices by more than some millionths of its extent.
 fn far_origin(bytes: &[u8]) -> Option<[f64; 3]> {
@@ -142,7 +168,11 @@ fn far_origin(bytes: &[u8]) -> Option<[f64; 3]> {
         let (b"v", rest) = keyword(line) else { continue };
         let mut own = [0.0; 3];
         for (slot, word) in own.iter_mut().zip(words(rest)) {
-            *slot = double(word)?;
+            *slot = double(word).unwrap_or(f64::NAN);
+        }
+        // What is no place is nowhere.
+        if own.iter().any(|v| v.is_nan()) {
+            continue;
         }
         // One that is near is enough: what holds it too is as large as it is far away.
         if own.iter().all(|v| v.abs() < NEAR) {
@@ -152,10 +182,7 @@ fn far_origin(bytes: &[u8]) -> Option<[f64; 3]> {
             (low[k], high[k]) = (low[k].min(own[k]), high[k].max(own[k]));
         }
     }
-    let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
-    let farthest = (0..3).map(|k| low[k].abs().max(high[k].abs())).fold(0.0, f64::max);
-    let is_far = extent > 0.0 && extent.is_finite() && farthest > FAR * extent;
-    is_far.then(|| [0, 1, 2].map(|k| (0.5 * (low[k] + high[k])).round()))
+    is_far(low, high).then(|| [0, 1, 2].map(|k| (0.5 * (low[k] + high[k])).round()))
 }
 
 /// A finite number in 64 bits.
@@ -176,8 +203,8 @@ fn vertex(geometry: &mut ObjGeometry, rest: &[u8], line: usize) -> Result<()> {
         // Anything beyond a position and its colour is somebody's own.
         let Some(slot) = values.get_mut(count) else { break };
         *slot = match geometry.origin.and_then(|origin| origin.get(count).copied()) {
-            Some(origin) => double(word).map_or_else(|| finite(word, line), |v| Ok((v - origin) as f32))?,
-            None => finite(word, line)?,
+            Some(origin) => double(word).map_or_else(|| number(word, line), |v| Ok((v - origin) as f32))?,
+            None => number(word, line)?,
         };
         count += 1;
     }
@@ -187,22 +214,22 @@ fn vertex(geometry: &mut ObjGeometry, rest: &[u8], line: usize) -> Result<()> {
     }
     if count >= 6 {
         geometry.colors.resize(geometry.positions.len(), [1.0; 3]);
-        geometry.colors.push([r, g, b]);
+        geometry.colors.push([r, g, b].map(|c| if c.is_finite() { c } else { 1.0 }));
     }
     geometry.positions.push([x, y, z]);
     Ok(())
 }
 
-/// Up to three numbers, at least `least`; what is missing is 0.
-fn numbers(rest: &[u8], line: usize, least: usize) -> Result<[f32; 3]> {
+/// One to three numbers; what is missing is 0.
+fn numbers(rest: &[u8], line: usize) -> Result<[f32; 3]> {
     let mut values = [0.0; 3];
     let mut count = 0;
     for (slot, word) in values.iter_mut().zip(words(rest)) {
-        *slot = finite(word, line)?;
+        *slot = number(word, line)?;
         count += 1;
     }
-    if count < least {
-        return Err(Failure::model(format!("line {line}: {least} numbers are expected, and there are {count}")));
+    if count == 0 {
+        return Err(Failure::model(format!("line {line}: a number is expected, and there is none")));
     }
     Ok(values)
 }
@@ -218,14 +245,6 @@ fn normal(rest: &[u8], line: usize) -> Result<[f32; 3]> {
 
 fn number(word: &[u8], line: usize) -> Result<f32> {
     float(word).ok_or_else(|| Failure::model(format!("line {line}: {} is not a number", quote_bytes(word))))
-}
-
-fn finite(word: &[u8], line: usize) -> Result<f32> {
-    let value = number(word, line)?;
-    if !value.is_finite() {
-        return Err(Failure::model(format!("line {line}: {} is not a finite 32-bit number", quote_bytes(word))));
-    }
-    Ok(value)
 }
 
 /// Reads a face; gives the number of its corners.

@@ -93,9 +93,6 @@ fn bad_lines_are_named() {
         ("v 0 0 0\nvt 0 0\nf 1/2 1 1\n", "line 3"),
         ("v 0 0 0\nf 1/1/1/1 1 1\n", "line 2"),
         ("v 0 0\n", "line 1"),
-        ("v 0 0 nan\n", "line 1"),
-        ("v 0 0 0\n\nv 1e39 0 0\n", "line 3"),
-        ("v 0 0 0\nvt inf 0\n", "line 2"),
         ("v 0 0 0\nvn 0 x 0\n", "line 2"),
         ("v 0 0 0\nf 1 1 99999999999999999999\n", "line 2"),
         ("v 0 0 0\nf 1 1 4294967296\n", "line 2"),
@@ -107,6 +104,27 @@ fn bad_lines_are_named() {
     let few = Limits { max_triangles: 3, ..Limits::default() };
     let failure = load(&[file("m.obj", "v 0 0 0\nf 1 1 1\nf 1 1 1 1 1\n")], None, &few).unwrap_err();
     assert_eq!(failure.code, Code::TooLarge);
+}
+
+#[test]
+fn numbers_that_are_not_finite_hold_back_their_faces_alone() {
+    let mtl = "newmtl a\nmap_Kd t.png\n";
+    for (bad, uv) in [("nan", "-nan(ind)"), ("1e39", "1.#QNAN"), ("-1.#IND00", "inf")] {
+        let obj = format!(
+            "mtllib a.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv {bad} 0 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt {uv} 0\n\
+             f 1/1 2/2 3/3\nf 1/1 2/2 4/3\nf 3/3 2/2 1/4\n"
+        );
+        let files = [file("m.obj", obj), file("a.mtl", mtl), file("t.png", "PNG")];
+        let (doc, warnings) = load(&files, None, &Limits::default()).unwrap();
+        let messages: Vec<&str> = warnings.iter().map(|w| w.message.as_str()).collect();
+        assert!(warnings.iter().all(|w| w.code == "non_finite_triangles"), "{messages:?}");
+        assert!(messages[0].contains("line 12") && messages[1].contains("line 13"), "{messages:?}");
+        let primitives = doc.json["meshes"][0]["primitives"].as_array().unwrap();
+        assert_eq!((primitives.len(), indices(&doc, 0).len(), indices(&doc, 1).len()), (2, 3, 3));
+        assert!(primitives[1]["attributes"].get("TEXCOORD_0").is_none());
+        let numbers = read_vec3(&doc, attribute(&doc, 1, "POSITION")).unwrap();
+        assert!(numbers.iter().flatten().all(|x| x.is_finite()));
+    }
 }
 
 #[test]

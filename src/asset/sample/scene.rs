@@ -17,7 +17,17 @@ impl Scene {
     pub(crate) fn new(name: &str) -> Self {
         let json = json!({ "asset": { "version": "2.0", "generator": "intarsia sample" }, "scene": 0, "scenes": [{ "nodes": [] }] });
         let (buffers, images) = (Vec::new(), Vec::new());
-        Scene { document: Document { json, buffers, images, name: name.to_owned(), merging: Default::default() } }
+        Scene {
+            document: Document {
+                json,
+                buffers,
+                images,
+                name: name.to_owned(),
+                merging: Default::default(),
+                tile: None,
+                undefined: Default::default(),
+            },
+        }
     }
 
     /// Adds an object to a top-level array; gives its index.

@@ -161,10 +161,12 @@ impl Emitter<'_> {
     }
 
     /// Elements copied, or interpolated where some vertex lies between others; plain integers of the user's own
-    /// attributes are names more often than amounts, and always copied.
+    /// attributes are names more often than amounts, and always copied, as are the ids of batches and features whatever their type.
     fn other(&self, name: &str, accessor: usize) -> Result<RawAccessor> {
         let shape = accessor_shape(self.doc, accessor)?;
+        let is_id = name == "_BATCHID" || name.starts_with("_FEATURE_ID_");
         let amount = !name.starts_with('_') || shape.normalized || shape.component_type == ComponentType::F32;
+        let amount = amount && !is_id;
         let points = &self.vertices.appended;
         if self.split && amount {
             interpolated(self.doc, accessor, shape.kind, points)

@@ -27,7 +27,7 @@ use super::accessor::RawAccessor;
 use super::append::ELEMENT_ARRAY_BUFFER;
 use super::document::Document;
 use super::extensions::VARIANTS;
-use super::geometry::vertex_count;
+use super::geometry::{HeldTriangle, vertex_count, with_held};
 use super::json::{array, array_mut, object_mut};
 use super::material_index::MaterialIndex;
 use super::primitive::primitive_pointer;
@@ -96,10 +96,14 @@ pub fn write(doc: &Document, index: &MaterialIndex, sets: &[Refined<'_>], contex
         let (refined, owner) = (&sets[s], Owner::of(sets, s, p));
         for (n, page) in pages(refined.atlas, &faces[s][p]).into_iter().enumerate() {
             let target = place(doc, &mut out, refined, p, n)?;
+            let own = &refined.set.primitives[p];
             let on_page = faces[s][p].iter().zip(&primitive.triangles);
-            let triangles: Vec<[u32; 3]> =
-                on_page.filter(|(f, _)| refined.atlas.page[f.index()] == page).map(|(_, t)| *t).collect();
+            let on_page = on_page.filter(|(f, _)| refined.atlas.page[f.index()] == page);
+            let triangles: Vec<(usize, [u32; 3])> = on_page
+                .map(|(f, t)| (refined.atlas.provenance[f.index()].source.index().saturating_sub(own.first_face), *t))
+                .collect();
             let on_page_count = triangles.len();
+            let triangles = with_held(triangles.into_iter(), held_on(own, n));
             set_geometry(&mut out, &target, &refined.set.primitives[p], triangles, &primitive)?;
             if on_page_count != refined.set.primitives[p].corners.len() {
                 extensions::drop_of_triangles(&mut out.json, &target, context)?;
@@ -117,6 +121,11 @@ struct Written {
     /// Triangles in the order of its faces.
     triangles: Vec<[u32; 3]>,
     attributes: Attributes,
+}
+
+/// The triangles of a primitive that are held back and stand on its `n`-th page: all on the first.
+fn held_on(primitive: &PrimitiveRef, n: usize) -> &[HeldTriangle] {
+    if n == 0 { &primitive.held } else { &[] }
 }
 
 /// The faces of each primitive in the order of the uploaded triangles, which is the order of drawing.
@@ -238,7 +247,7 @@ fn set_geometry(
     written: &Written,
 ) -> Result<()> {
     let mut indices = None;
-    if triangles != uploaded.corners {
+    if triangles != with_held(uploaded.corners.iter().copied().enumerate(), &uploaded.held) {
         let raw = RawAccessor::from_indices(triangles.as_flattened());
         indices = Some(out.append_accessor(&raw, Some(ELEMENT_ARRAY_BUFFER), false));
     }

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use super::{Refined, faces_of, pages};
-use crate::asset::geometry::{GeometryReader, PrimitiveGeometry, weld};
+use super::{Refined, faces_of, held_on, pages};
+use crate::asset::geometry::{GeometryReader, PrimitiveGeometry, interleaved, weld};
 use crate::asset::json::array;
 use crate::asset::primitive::primitive_pointer;
 use crate::asset::{Document, UvLayout};
@@ -30,12 +30,21 @@ pub fn read_back(doc: &Document, sets: &[Refined<'_>], index: usize, context: &C
                 0 => primitive.primitive,
                 _ => appended.get(&(index, p)).map_or(usize::MAX, |first| first + n - 1),
             };
-            let geometry = reader.read(primitive.mesh, number, Some(UvLayout::plain(primitive.written)), context)?;
+            let mut geometry =
+                reader.read(primitive.mesh, number, Some(UvLayout::plain(primitive.written)), context)?;
             let own: Vec<FaceId> = faces[p].iter().copied().filter(|f| after.page[f.index()] == page).collect();
-            if own.len() != geometry.corners.len() {
-                let text = format!("{} triangles were written, and {} are read", own.len(), geometry.corners.len());
+            let numbered = own
+                .iter()
+                .map(|f| (after.provenance[f.index()].source.index().saturating_sub(primitive.first_face), *f));
+            let (there, read) = (interleaved(numbered, held_on(primitive, n)), geometry.all_corners());
+            if there.len() != read.len() {
+                let text = format!("{} triangles were written, and {} are read", there.len(), read.len());
                 return Err(Failure::internal(text).at(primitive_pointer(primitive.mesh, number)));
             }
+            // Those that are held back belong to no Atlas, whatever became of their numbers.
+            geometry.corners =
+                read.into_iter().zip(&there).filter(|(_, face)| face.is_some()).map(|(t, _)| t).collect();
+            geometry.held = Vec::new();
             parts.push((geometry, own, page));
         }
     }

@@ -67,7 +67,7 @@ pub(crate) fn box_cutter(input: &StageInput<'_>, weights: Option<&[[f64; 3]]>, p
     let mesh = Mesh::new(clean);
     let charts = Charts::new(mesh.topology());
     let together = clusters(mesh.atlas(), &charts, options.atlas.overlaps);
-    let along_edges = params.cuts == Cuts::Edges || params.cuts == Cuts::Auto && sheet_info.animated;
+    let along_edges = params.cuts == Cuts::Edges || params.cuts == Cuts::Auto && sheet_info.along_edges;
     let panels = start::panels(mesh.atlas(), mesh.topology(), &charts, &together, along_edges, options.pack.rotation);
     let held: f64 = panels.iter().filter(|p| !p.cuttable()).map(|p| p.area).fold(0.0, |a, b| a + b);
     let total: f64 = panels.iter().map(|p| p.area).sum();

@@ -62,7 +62,7 @@ impl Stage for BoxCutter {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Cuts {
-    /// Straight; along edges where the model is skinned or morphed.
+    /// Straight; along edges where the model is skinned or morphed, or lies so far from the origin that 32 bits hold no points between its vertices.
     Auto,
     /// Straight lines through triangles, which are split.
     Straight,

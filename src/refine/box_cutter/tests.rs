@@ -113,9 +113,9 @@ fn cuts_along_edges_split_no_triangle() {
     assert!(charts(&staged) >= 2);
     let grown = border(&staged.atlas) / border(&atlas);
     assert!((grown - figure(&staged, "boundary_length_ratio")).abs() < 1e-6);
-    let animated = SheetInfo { animated: true, ..SheetInfo::plain() };
+    let skinned = SheetInfo { along_edges: true, ..SheetInfo::plain() };
     let auto = BoxCutter { cuts: Cuts::Auto, ..params };
-    let staged = cut(&atlas, &animated, None, &auto, &options(0), &Context::silent()).unwrap();
+    let staged = cut(&atlas, &skinned, None, &auto, &options(0), &Context::silent()).unwrap();
     assert_eq!(staged.atlas.face_count(), atlas.face_count(), "skinned and morphed surfaces are cut along edges");
 }
 

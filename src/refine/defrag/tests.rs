@@ -49,7 +49,7 @@ fn sheet_info() -> SheetInfo {
         unit: 1,
         mipmaps: false,
         is_virtual: false,
-        animated: false,
+        along_edges: false,
         directions: false,
         joined: false,
     }
