@@ -73,7 +73,7 @@ mod write;
 
 pub(crate) use primitive::declared_triangles;
 pub use read::read;
-pub(crate) use sets::{grid, lcm};
+pub(crate) use sets::{grid, lcm, leaves_any};
 pub use sets::{is_small, mark_uniform, small_slot_warning};
 pub use texture_set::{PrimitiveRef, TextureSet};
 pub use transform::{TextureTransform, UvLayout};

@@ -4,13 +4,14 @@
 //! included, read through it are the nodes of a graph; its connected components are the texture sets.
 //! What cannot be refined leaves by name, with a warning, and stays as it was uploaded.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::document::Document;
 use super::extensions::{OnPrimitive, on_primitive};
 use super::json::{array, object};
 use super::material_index::{MaterialIndex, Primitive, Texture, TextureUse};
 use super::options::UvSet;
+use super::primitive::declared_triangles;
 use super::texture_set::TextureSet;
 use super::transform::{TextureTransform, UvLayout};
 use crate::atlas::find_root;
@@ -97,6 +98,18 @@ pub(crate) fn plan_unmapped(doc: &Document, index: &MaterialIndex) -> Option<Pla
     let found = index.primitives.iter().enumerate().filter(|(_, p)| unmapped(p));
     let primitives: Vec<_> = found.map(|(p, _)| (p, layout)).collect();
     (!primitives.is_empty()).then(|| Planned::without_images(primitives))
+}
+
+/// Whether triangles with the texture coordinates that are refined are in none of the sets, because something stands in the way.
+pub(crate) fn leaves_any(doc: &Document, index: &MaterialIndex, sets: &[TextureSet], uv_set: UvSet) -> bool {
+    let taken: BTreeSet<_> = sets.iter().flat_map(|s| s.primitives.iter().map(|p| (p.mesh, p.primitive))).collect();
+    let name = format!("TEXCOORD_{}", uv_set.number());
+    let is_left = |p: &Primitive| {
+        let value = doc.json.pointer(&p.pointer());
+        let value = value.filter(|v| v.get("attributes").is_some_and(|a| a.get(&name).is_some()));
+        p.is_triangles() && p.positions.is_some() && value.is_some_and(|v| declared_triangles(&doc.json, v) > 0)
+    };
+    index.primitives.iter().any(|p| !taken.contains(&(p.mesh, p.primitive)) && is_left(p))
 }
 
 /// The uses of a material that are refined with a layout.
@@ -383,7 +396,7 @@ fn slot(doc: &Document, image: usize, mut readers: Readers) -> std::result::Resu
     primitives.sort_unstable();
     primitives.dedup();
     // Who reads an image with several wrap modes reads it inside: the first serves.
-    let mut seen = std::collections::BTreeSet::new();
+    let mut seen = BTreeSet::new();
     for reading in &mut readers.readings {
         reading.primitives.retain(|p| seen.insert(*p));
     }

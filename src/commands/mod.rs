@@ -18,7 +18,7 @@ use clap::{CommandFactory, FromArgMatches};
 use intarsia::asset::{self, read_paths};
 use intarsia::config::{Cli, OptionFlags};
 use intarsia::error::{Code, Failure, Result};
-use intarsia::metrics::Unmet;
+use intarsia::metrics::Verdict;
 use intarsia::refine::options::{ImportanceSource, Options, Output};
 use intarsia::refine::run::Input;
 use intarsia::refine::{parse, recipe};
@@ -65,14 +65,17 @@ fn read_input(paths: &[PathBuf], options: &Options) -> Result<Input> {
     Ok(Input { models, ..Input::default() })
 }
 
-/// Tells the requirements that are not met, if any, and fails with `message` then.
-fn judge(failures: &[Unmet], message: &str) -> Result<()> {
-    for failure in failures {
+/// Tells the requirements that are not met, if any, and fails for what the result fails for; `note` ends the message.
+fn judge(verdict: &Verdict, note: &str) -> Result<()> {
+    for failure in &verdict.unmet {
         let got = failure.got.map_or("undefined".to_owned(), |g| g.to_string());
         let detail = failure.detail.as_ref().map(|d| format!(" ({d})")).unwrap_or_default();
         eprintln!("not met: {} wanted {}, got {got}{detail}", failure.path, failure.wanted);
     }
-    if failures.is_empty() { Ok(()) } else { Err(Failure::new(Code::RequirementNotMet, message)) }
+    match verdict.failure() {
+        Some(failure) => Err(Failure { message: format!("{}{note}", failure.message), ..failure }),
+        None => Ok(()),
+    }
 }
 
 /// The options of the flags: the file, then the recipe, then each `--set`. Every problem is told.

@@ -50,7 +50,7 @@ pub fn run(arguments: &Refine) -> Result<()> {
             eprintln!("wrote {} ({bytes} bytes)", path.display());
         }
     }
-    super::judge(&outcome.failures, "a requirement is not met; the output is written all the same")
+    super::judge(&outcome.verdict, "; the output is written all the same")
 }
 
 /// The container that the output's name asks for.
@@ -131,7 +131,7 @@ fn write_pictures(folder: &Path, outcome: &Outcome) -> Result<()> {
 /// What was gained, in a few lines.
 fn summary(report: &Value) -> String {
     let (before, after) = (table::columns(report, "before"), table::columns(report, "after"));
-    let mut out = String::new();
+    let mut out = report["outcome"].as_str().map(|word| format!("outcome: {word}\n")).unwrap_or_default();
     for (before, after) in before.iter().zip(&after) {
         let change = |name: &str| {
             let (old, new) = (before.figures.get(name)?, after.figures.get(name)?);

@@ -1,4 +1,4 @@
-//! What a user's requirements make of a report.
+//! What a user's requirements, and `strict`, make of a result.
 
 use std::collections::BTreeMap;
 
@@ -23,6 +23,45 @@ pub struct Unmet {
     /// Which atlas it was found in, or why it is undefined: for the command line; the contract does not have it.
     #[serde(skip)]
     pub detail: Option<String>,
+}
+
+/// What a result that is there fails its job for.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Verdict {
+    /// Requirements that are not met.
+    pub unmet: Vec<Unmet>,
+    /// Warnings that `strict` names: how many there are of each code.
+    pub strict: BTreeMap<String, u64>,
+}
+
+impl Verdict {
+    /// The failure, where there is one. A warning comes first: it may be why a figure is missed.
+    pub fn failure(&self) -> Option<Failure> {
+        let paths: Vec<&str> = self.unmet.iter().map(|f| f.path.as_str()).collect();
+        let unmet = (!paths.is_empty()).then(|| format!("not met: {}", paths.join(", ")));
+        let count = |(code, n): (&String, &u64)| if *n > 1 { format!("{code} ({n} times)") } else { code.clone() };
+        let strict: Vec<String> = self.strict.iter().map(count).collect();
+        if strict.is_empty() {
+            return unmet.map(|text| Failure::new(Code::RequirementNotMet, text).at("/require"));
+        }
+        let more = unmet.map(|text| format!("; {text}")).unwrap_or_default();
+        let text = format!("there are warnings that `strict` names: {}{more}", strict.join(", "));
+        Some(Failure::new(Code::StrictWarning, text).at("/strict"))
+    }
+}
+
+/// Judges a report by what the user requires, and the warnings, counted by code, by those that `strict` names.
+///
+/// # Errors
+/// `invalid_options` for an unknown path in `require`.
+pub fn judge(
+    report: &Report,
+    require: &BTreeMap<String, Requirement>,
+    strict: &[String],
+    warnings: BTreeMap<String, u64>,
+) -> Result<Verdict> {
+    let strict = warnings.into_iter().filter(|(code, _)| strict.contains(code)).collect();
+    Ok(Verdict { unmet: unmet(report, require)?, strict })
 }
 
 /// Every path that `require` may name.
@@ -85,7 +124,7 @@ fn lookup(report: &Report, path: &str) -> Result<Vec<Compared>> {
 
 /// The requirements that `report` does not meet, by path; of several atlases the worst is named. An undefined figure
 /// fails, and so does `atlas.` when no atlas was refined.
-pub fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result<Vec<Unmet>> {
+fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result<Vec<Unmet>> {
     let mut failures = Vec::new();
     for (path, wanted) in require {
         let values = lookup(report, path)?;
@@ -169,6 +208,7 @@ mod tests {
             atlases: efficiencies.iter().enumerate().map(atlas).collect(),
             textures: vec![],
             model: ModelReport { before: of(Some(0.5)), after: of(Some(0.75)) },
+            outcome: None,
             merged: Vec::new(),
             warnings: vec![],
         }
@@ -189,6 +229,19 @@ mod tests {
         assert_eq!((failures[0].got, failures[0].detail.as_deref()), (None, Some("atlas 1: no box")));
         assert_eq!(unmet(&report(&[Some(0.7)]), &min), Ok(vec![]), "a bound that is just met is met");
         assert_eq!(unmet(&report(&[]), &min).map(|f| f.len()), Ok(1), "nothing refined meets nothing");
+    }
+
+    #[test]
+    fn strict_comes_first_and_tells_of_both() {
+        let mut verdict = Verdict::default();
+        assert_eq!(verdict.failure(), None);
+        verdict.unmet.push(Unmet { path: "atlas.charts".into(), wanted: "max 1".into(), got: None, detail: None });
+        let failure = verdict.failure().unwrap();
+        assert_eq!((failure.code, failure.message.as_str()), (Code::RequirementNotMet, "not met: atlas.charts"));
+        verdict.strict = BTreeMap::from([("invalid_image".to_owned(), 1), ("missing_image".to_owned(), 3)]);
+        let failure = verdict.failure().unwrap();
+        assert_eq!((failure.code, failure.pointer.as_deref()), (Code::StrictWarning, Some("/strict")));
+        assert!(failure.message.contains("invalid_image, missing_image (3 times); not met: atlas.charts"), "{failure}");
     }
 
     #[test]

@@ -9,6 +9,14 @@ pub fn nearest<'a>(wanted: &str, known: &[&'a str]) -> Option<&'a str> {
     known.iter().copied().max_by(|a, b| score(a).total_cmp(&score(b))).filter(|k| score(k) >= 0.75)
 }
 
+/// Says what was meant: the nearest of `known` where one is near, else all that there are.
+pub(crate) fn near_or_all(wanted: &str, known: &[&str]) -> String {
+    match nearest(wanted, known) {
+        Some(near) => format!("did you mean `{near}`?"),
+        None => format!("known here: {}", known.join(", ")),
+    }
+}
+
 /// The JSON pointer of a key under `pointer` (RFC 6901).
 pub(crate) fn child(pointer: &str, key: &str) -> String {
     format!("{pointer}/{}", short(key).replace('~', "~0").replace('/', "~1"))

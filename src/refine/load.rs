@@ -22,6 +22,8 @@ pub(super) struct Loaded {
     pub groups: Vec<Group>,
     /// Bytes of all files.
     pub bytes: u64,
+    /// Whether triangles with texture coordinates are in no texture set, because something stands in the way.
+    pub left: bool,
 }
 
 /// One model.
@@ -59,7 +61,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
         return Err(Failure::new(Code::InvalidRequest, "there is no model"));
     }
     let count = input.models.len();
-    let mut loaded = Loaded { models: Vec::new(), groups: Vec::new(), bytes: total_bytes(&input.models) };
+    let mut loaded = Loaded { models: Vec::new(), groups: Vec::new(), bytes: total_bytes(&input.models), left: false };
     let mut sets: Vec<(usize, TextureSet)> = Vec::new();
     let mut unused: Option<BTreeSet<String>> = None;
     for (index, files) in input.models.iter().enumerate() {
@@ -72,6 +74,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
             failure
         });
         let ReadModel { doc, index: indexed, merge, sets: own, unused: left } = own?;
+        loaded.left |= asset::leaves_any(&doc, &indexed, &own, options.atlas.uv_set);
         let left: BTreeSet<String> = left.into_iter().collect();
         unused = Some(unused.map_or(left.clone(), |before| &before & &left));
         sets.extend(own.into_iter().map(|set| (index, set)));
@@ -93,7 +96,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     let mapped = sets.iter().filter(|(_, set)| set.atlas.has_layout()).count();
     let unwraps = join && options.steps().iter().any(|step| !step.stage.needs_layout());
     let refinable = if unwraps { sets.len() } else { mapped };
-    if refinable == 0 && context.warnings().is_empty() {
+    if refinable == 0 {
         context.warn(nothing_to_refine(&loaded.models, options.atlas.uv_set));
     }
     let weights = match &options.importance {

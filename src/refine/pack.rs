@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use serde_json::{Map, Value};
 
 use super::options::{IfLarger, Options};
+use super::refinement::NOT_SMALLER;
 use super::stage::{SheetInfo, Stage, StageInput, Staged};
 use crate::asset::lcm;
 use crate::atlas::{
@@ -54,7 +55,7 @@ pub(super) fn finished(
         input.sheet_info.id
     );
     input.context.warn(Warning::new("kept_input", text));
-    Staged { atlas: input.atlas.clone(), stopped_by: "no_improvement", figures, kept: true }
+    Staged { atlas: input.atlas.clone(), stopped_by: NOT_SMALLER, figures, kept: true }
 }
 
 /// Packs the charts, or the clusters of charts, on new sheets, and gives the work that it took. `starts` are layouts of the clusters in

@@ -2,4 +2,6 @@
 
 mod compressed_streams;
 mod extensions;
+mod fidelity;
 mod layouts;
+mod outcomes;

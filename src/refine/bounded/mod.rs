@@ -256,6 +256,7 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
         ("opened_charts".to_owned(), json!(prepared.opened)),
         ("flattened_charts".to_owned(), json!(prepared.flattened)),
         ("rectangle_fallbacks".to_owned(), json!(best.fallbacks)),
+        ("charts_kept".to_owned(), json!(kept_as_they_are)),
     ]);
     let stopped_by = if bound_met { "done" } else { "bound_not_met" };
     Ok(finished(input, best.atlas, stopped_by, figures))

@@ -312,6 +312,7 @@ fn sum(outcomes: &[Outcome], params: &OptCuts) -> (Map<String, Value>, &'static 
         ("bound_met".to_owned(), json!(outcomes.iter().all(|o| o.solution.bound_met))),
         ("iterations".to_owned(), json!(outcomes.iter().map(|o| o.solution.iterations).sum::<u64>())),
         ("work".to_owned(), json!(outcomes.iter().map(|o| o.solution.work).sum::<u64>())),
+        ("pieces_reverted".to_owned(), json!(outcomes.iter().filter(|o| o.solution.stopped_by == "reverted").count())),
         ("polished_pieces".to_owned(), json!(outcomes.iter().filter(|o| o.piece.density.is_some()).count())),
     ]);
     (figures, most.map_or("done", |m| m.0))
