@@ -126,7 +126,7 @@ impl Context {
         state.progress.stage_index = index as u32;
         state.progress.stage = state.weights.get(index).map(|w| w.0.clone()).unwrap_or_default();
         state.progress.message.clear();
-        let before: f64 = state.weights.iter().take(index).map(|w| w.1).sum();
+        let before = state.weights.iter().take(index).fold(0.0, |sum, w| sum + w.1);
         state.progress.fraction = state.progress.fraction.max(before.min(1.0));
         self.listener.progress(&state.progress);
     }
@@ -154,7 +154,7 @@ impl Context {
         self.check()?;
         let mut state = self.lock();
         let index = state.progress.stage_index as usize;
-        let before: f64 = state.weights.iter().take(index).map(|w| w.1).sum();
+        let before = state.weights.iter().take(index).fold(0.0, |sum, w| sum + w.1);
         let own = state.weights.get(index).map_or(0.0, |w| w.1);
         let whole = (before + own * fraction.clamp(0.0, 1.0)).min(1.0);
         state.progress.fraction = state.progress.fraction.max(whole);

@@ -24,6 +24,7 @@ mod compression;
 mod document;
 mod estimate;
 mod extensions;
+mod foreign;
 mod glb;
 mod limits;
 mod load;
@@ -71,6 +72,7 @@ mod transform;
 mod uv_tiles;
 mod write;
 
+pub use foreign::foreign;
 pub(crate) use primitive::declared_triangles;
 pub use read::read;
 pub(crate) use sets::{grid, lcm, leaves_any};

@@ -22,6 +22,9 @@ const SUMMARY: [&str; 5] = ["charts", "packing_efficiency", "utilisation", "text
 /// Refines, writes, tells.
 pub fn run(arguments: &Refine) -> Result<()> {
     let output = container(&arguments.output)?;
+    super::check_output(&arguments.output)?;
+    arguments.report.iter().try_for_each(|path| super::check_output(path))?;
+    arguments.pictures.iter().try_for_each(|path| super::check_output_folder(path))?;
     let options = super::read_options(&arguments.options, Some(output))?;
     let input = Input { extras: arguments.pictures.is_some(), ..super::read_input(&arguments.input, &options)? };
     let limit = options.time_limit_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
@@ -58,7 +61,10 @@ fn container(path: &Path) -> Result<Output> {
     match path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).as_deref() {
         Some("glb") => Ok(Output::Glb),
         Some("gltf") => Ok(Output::Gltf),
-        _ => Err(Failure::new(Code::InvalidRequest, "the output is a .glb or a .gltf")),
+        _ => {
+            let text = format!("the output {} is no model: its name ends in .glb or .gltf", path.display());
+            Err(Failure::new(Code::InvalidRequest, text))
+        }
     }
 }
 

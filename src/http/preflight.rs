@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
-use crate::asset::check_entries;
+use crate::asset::{check_entries, foreign};
 use crate::error::{Code, Failure, Result};
 use crate::jobs::files::disk;
 
@@ -47,7 +47,11 @@ pub(super) fn check(path: &Path, name: &str, max_json: u64) -> Result<&'static s
             "glb" => Err(Failure::model("the model is called .glb but does not start with the magic `glTF`")),
             "gltf" => Err(Failure::model("the model is called .gltf but is not a JSON object")),
             "zip" => Err(Failure::model("the model is called .zip but is not an archive")),
-            _ => Err(Failure::new(Code::UnsupportedMediaType, "the model is neither GLB, glTF, OBJ nor a zip of one")),
+            _ => {
+                let what = foreign(name, &head).map(|what| format!("; it is {what}")).unwrap_or_default();
+                let text = format!("the model is neither GLB, glTF, OBJ nor a zip of one{what}");
+                Err(Failure::new(Code::UnsupportedMediaType, text))
+            }
         }
     }
 }

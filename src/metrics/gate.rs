@@ -9,6 +9,7 @@ use utoipa::ToSchema;
 use super::{Measures, Report};
 use crate::error::{Code, Failure, Result};
 use crate::metrics::Requirement;
+use crate::params::{listed, nearest};
 
 /// A requirement that is not met.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -85,14 +86,17 @@ pub fn check_path(path: &str) -> Result<()> {
     if known.iter().any(|k| k == path) {
         return Ok(());
     }
-    // Without the scope, the name alone finds its neighbour.
-    let near = |k: &String| strsim::damerau_levenshtein(k, path).min(strsim::damerau_levenshtein(&k[6..], path) + 1);
-    let nearest = known.iter().min_by_key(|k| near(k)).cloned().unwrap_or_default();
-    Err(Failure::new(
-        Code::InvalidOptions,
-        format!("`{path}` is not a figure of the report; did you mean `{nearest}`?"),
-    )
-    .at(format!("/require/{}", path.replace('~', "~0").replace('/', "~1"))))
+    let figures: Vec<&str> = known.iter().filter_map(|path| path.strip_prefix("atlas.")).collect();
+    // What all paths begin with makes none of them a neighbour.
+    let scoped = path.split_once('.').filter(|(scope, _)| nearest(scope, &["atlas", "model"]).is_some());
+    let (scope, figure) = scoped.unwrap_or(("atlas", path));
+    let scope = nearest(scope, &["atlas", "model"]).unwrap_or("atlas");
+    let hint = match nearest(figure, &figures) {
+        Some(near) => format!("did you mean `{scope}.{near}`?"),
+        None => format!("a path is `atlas.` (every atlas) or `model.` and a figure; {}", listed(&figures)),
+    };
+    let text = format!("`{path}` is not a figure of the report; {hint}");
+    Err(Failure::new(Code::InvalidOptions, text).at(format!("/require/{}", path.replace('~', "~0").replace('/', "~1"))))
 }
 
 /// The figure of `path` (`atlas.` and `model.` stripped), or why it is not defined.
@@ -257,7 +261,7 @@ mod tests {
         for (path, nearest) in [
             ("atlas.packing_eficiency", "`atlas.packing_efficiency`"),
             ("model.texel_density.medain", "`model.texel_density.median`"),
-            ("model.undefined", "`model."),
+            ("model.undefined", "`atlas.` (every atlas) or `model.` and a figure; there are: triangles"),
             ("seam_length", "`atlas.seam_length`"),
         ] {
             let failure = unmet(&report(&[]), &require(path, Requirement::default())).err();

@@ -97,7 +97,7 @@ fn panel_files(r: &Refinement<'_>, params: &FabricationParams, context: &Context
     let off = worst_scale(&r.atlas);
     if off > SAME_SCALE {
         let text = format!(
-            "the charts of atlas {id} differ in scale: some panels are too large or too small by a factor of {off:.3}"
+            "the charts of atlas {id} differ in scale: some panels are too large or too small by a factor of {off:.3} and will not fit together (optcuts before box_cutter evens that out)"
         );
         context.warn(Warning::new("panel_scale", text));
     }

@@ -88,7 +88,9 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
         _ => None,
     };
     for path in unused.iter().flatten().filter(|path| Some(*path) != weights) {
-        let text = format!("the file `{path}` was uploaded, and no model names it: it is not used");
+        let text = format!(
+            "the file `{path}` was uploaded, and no model names it: it is not used (if it should be, check its name against that in the model)"
+        );
         context.warn(Warning::new("unused_file", text));
     }
     // Layouts without images are numbered after those with, and surfaces without a layout after all.
@@ -97,7 +99,8 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     let unwraps = join && options.steps().iter().any(|step| !step.stage.needs_layout());
     let refinable = if unwraps { sets.len() } else { mapped };
     if refinable == 0 {
-        context.warn(nothing_to_refine(&loaded.models, options.atlas.uv_set));
+        let warned = !context.warnings().is_empty();
+        context.warn(nothing_to_refine(&loaded.models, options.atlas.uv_set, warned));
     }
     let weights = match &options.importance {
         Some(source) => {
@@ -118,7 +121,10 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     };
     for (model, set) in sets[..mapped].iter().filter(|(_, set)| join != Join::Nothing && !can_join(set)) {
         loaded.speak_of(*model, context);
-        let text = format!("the charts of {} spread too far for a shared sheet: it keeps its own atlas", set.name);
+        let text = format!(
+            "the charts of {} spread too far for a shared sheet: it keeps its own atlas (bring its texture coordinates into the image to have it share one)",
+            set.name
+        );
         context.warn(Warning::new("not_joined", text));
     }
     loaded.groups = groups(sets, weights, join);
@@ -133,7 +139,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
 }
 
 /// Why there is nothing to refine.
-fn nothing_to_refine(models: &[Model], uv_set: UvSet) -> Warning {
+fn nothing_to_refine(models: &[Model], uv_set: UvSet, warned: bool) -> Warning {
     let list = |value: &Value, key: &str| value.get(key).and_then(Value::as_array).cloned().unwrap_or_default();
     let meshes = models.iter().flat_map(|m| list(&m.doc.json, "meshes"));
     let primitives = meshes.flat_map(|mesh| list(&mesh, "primitives"));
@@ -146,8 +152,11 @@ fn nothing_to_refine(models: &[Model], uv_set: UvSet) -> Warning {
     }
     let message = match (all, with) {
         (0, _) => "the model has no triangles".to_owned(),
-        (_, 0) => format!("the model has no texture coordinates: none of its {all} triangle primitives has {name}"),
-        _ => format!("none of the {with} primitives with texture coordinates has triangles that could be refined"),
+        (_, 0) => format!(
+            "the model has no texture coordinates: none of its {all} triangle primitives has {name} (the recipe unwrap makes some; atlas.uv_set names another set)"
+        ),
+        _ if warned => format!("the other warnings say why of the {with} primitives with {name}"),
+        _ => format!("the {with} primitives with {name} have no triangles with an area"),
     };
     Warning::new("nothing_to_refine", format!("nothing is refined: {message}"))
 }
@@ -196,7 +205,7 @@ fn read(
     if merging {
         merge = asset::prepare_merge(&mut doc, &mut index, options.atlas.uv_set.number())?;
         if merge.is_none() {
-            let text = "the model is not merged: it uses an extension, or animates materials, that merging does not understand";
+            let text = "the model is not merged: it uses an extension, or animates materials, that merging does not understand; it is refined material by material";
             context.warn(Warning::new("not_merged", text));
         }
     }

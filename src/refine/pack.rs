@@ -51,7 +51,7 @@ pub(super) fn finished(
         return Staged { atlas: result, stopped_by, figures, kept: false };
     }
     let text = format!(
-        "the sheet of atlas {} would not become smaller: it stays as uploaded (set atlas.if_larger to \"accept\" to take the result)",
+        "the sheet of atlas {} would become larger: it stays as it was (set atlas.if_larger to \"accept\" to take the result)",
         input.sheet_info.id
     );
     input.context.warn(Warning::new("kept_input", text));
@@ -182,7 +182,7 @@ fn place(pieces: &[Piece], input: &StageInput<'_>, starts: &[InitialLayout], eff
             None => {
                 let [width, height] = sheet;
                 let text = format!(
-                    "the charts and their gutters do not fit on a sheet of {width} x {height} texels at any scale"
+                    "the charts and their gutters do not fit on a sheet of {width} x {height} texels at any scale: take a larger texture.size or a smaller pack.gutter"
                 );
                 Err(Failure::new(Code::TooLarge, text).at("/texture/size"))
             }
@@ -198,7 +198,9 @@ fn place(pieces: &[Piece], input: &StageInput<'_>, starts: &[InitialLayout], eff
         Err(failure) if failure.code != Code::TooLarge => Err(failure),
         _ => {
             let (id, side) = (sheet_info.id, texture.max_size);
-            let text = format!("the charts of atlas {id} are scaled down to fit on a sheet of {side} texels");
+            let text = format!(
+                "the charts of atlas {id} are scaled down to fit on a sheet of {side} texels, and lose detail (a larger texture.max_size, or texture.overflow \"pages\", keeps it)"
+            );
             context.warn(Warning::new("scaled_to_fit", text));
             fitted(largest_sheet(request.max[0], request.round, request.aspect), 1.0)
         }

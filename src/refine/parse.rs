@@ -14,8 +14,8 @@ use super::options::{Options, Output};
 use crate::config::OptionFlags;
 use crate::error::{Code, Failure, WARNINGS};
 use crate::metrics::Requirement;
-pub use crate::params::{Problem, nearest};
-use crate::params::{child, keys, kind, near_or_all, section, short, typed, unknown};
+pub use crate::params::{Problem, near_or_all};
+use crate::params::{child, keys, kind, section, short, typed, unknown};
 pub use json::json;
 pub use recipe::recipe_named;
 
@@ -59,7 +59,7 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
             }
             "strict" => out.strict = strict(value, &pointer, &mut problems),
             "require" => out.require = requirements(value, &pointer, &mut problems),
-            _ if !known.contains(key) => problems.push(unknown(&pointer, key, &known)),
+            _ if !known.contains(key) => problems.push(unknown_option(&pointer, key, &known)),
             _ => match out.stages.find(key).map(|own| own.over(value, &pointer, &mut problems)) {
                 Some(stage) => out.stages.replace(stage),
                 None => {
@@ -77,6 +77,20 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
     let out = Options { recipe, pack, stages, texture, atlas, fabrication, require, strict, ..plain };
     problems.extend(ranges::ranges(&out));
     if problems.is_empty() { Ok(out) } else { Err(problems) }
+}
+
+/// The problem of an option that there is not: it may stand in a section.
+fn unknown_option(pointer: &str, key: &str, known: &[String]) -> Problem {
+    let all = serde_json::to_value(Options { fabrication: Some(Default::default()), ..Options::default() });
+    let sections = all.as_ref().ok().and_then(Value::as_object).into_iter().flatten();
+    let holds = |section: &Value| section.as_object().is_some_and(|s| s.contains_key(key));
+    let places: Vec<String> =
+        sections.filter(|(_, section)| holds(section)).map(|(name, _)| format!("`{name}.{key}`")).collect();
+    if places.is_empty() {
+        return unknown(pointer, key, known);
+    }
+    let text = format!("unknown option `{}`; it stands in a section: {}", short(key), places.join(", "));
+    Problem::unknown_key(pointer, text)
 }
 
 /// The options of a command line: those of its file, then its recipe and the output's container, then each `--set`.

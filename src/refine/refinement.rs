@@ -81,14 +81,16 @@ impl<'a> Refinement<'a> {
         if let Err(wrong) = check::violations(&set.atlas, &atlas, context)? {
             let (id, what) = (sheet_info.id, check::told(&wrong));
             let Some(mended) = give_back(&input, &set.atlas, atlas, wrong)? else {
-                let message = format!("{name} was undone for atlas {id}: {what}");
+                let message = format!(
+                    "{name} was undone for atlas {id}, which is as it was before: its layout would be broken ({what}). The fault is Intarsia's, please report it with the model; another recipe or seed may do"
+                );
                 context.warn(Warning::new(STAGE_REVERTED, message));
                 self.partly = true;
                 self.ran(name, "reverted", figures);
                 return Ok(());
             };
             let message = format!(
-                "{} charts of atlas {id} lie as they were uploaded, packed with the rest: after {name} they would have been broken ({what})",
+                "{} charts of atlas {id} keep their uploaded shape, packed with the rest: {name} would have broken them ({what}). The result is whole; another seed may spare them",
                 mended.charts
             );
             context.warn(Warning::new(CHARTS_GIVEN_BACK, message));

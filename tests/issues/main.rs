@@ -4,4 +4,5 @@ mod compressed_streams;
 mod extensions;
 mod fidelity;
 mod layouts;
+mod messages;
 mod outcomes;

@@ -205,7 +205,7 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
     };
     if kept_as_they_are > 0 {
         let text = format!(
-            "{kept_as_they_are} charts of atlas {} cannot be deformed without losing faces: they stay as they are",
+            "{kept_as_they_are} charts of atlas {} have faces so thin that deforming them would lose some: they keep their shape",
             sheet_info.id
         );
         context.warn(Warning::new("charts_kept", text));
@@ -239,7 +239,7 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
         && growth > most * (1.0 + 1e-9)
     {
         let text = format!(
-            "the seams of atlas {} are {growth:.3} times as long as before; at most {most} was asked for, and the bound on packing efficiency comes first",
+            "the seams of atlas {} are {growth:.3} times as long as before; at most {most} was asked for, and the bound on packing efficiency comes first (a smaller bounded.packing_efficiency leaves shorter seams)",
             sheet_info.id
         );
         context.warn(Warning::new("boundary_limit_missed", text));
