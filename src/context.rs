@@ -1,6 +1,6 @@
 //! What a stage may know of the world: progress, cancellation, seed, budget and clock.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -49,6 +49,9 @@ pub struct Timing {
 /// Warnings that are listed one by one; a broken model may give rise to millions.
 const MOST_WARNINGS: usize = 1000;
 
+/// Code of the warning that there are more.
+const MORE_WARNINGS: &str = "more_warnings";
+
 struct State {
     progress: Progress,
     weights: Vec<(String, f64)>,
@@ -58,6 +61,8 @@ struct State {
     known: HashSet<Warning>,
     /// Warnings beyond those that are listed.
     unlisted: u64,
+    /// How many there are by code, those that are not listed among them.
+    counts: BTreeMap<String, u64>,
     subject: Option<String>,
     started: Instant,
 }
@@ -87,6 +92,7 @@ impl Context {
                 warnings: Vec::new(),
                 known: HashSet::new(),
                 unlisted: 0,
+                counts: BTreeMap::new(),
                 subject: None,
                 started: Instant::now(),
             }),
@@ -120,7 +126,7 @@ impl Context {
         state.progress.stage_index = index as u32;
         state.progress.stage = state.weights.get(index).map(|w| w.0.clone()).unwrap_or_default();
         state.progress.message.clear();
-        let before: f64 = state.weights.iter().take(index).map(|w| w.1).sum();
+        let before = state.weights.iter().take(index).fold(0.0, |sum, w| sum + w.1);
         state.progress.fraction = state.progress.fraction.max(before.min(1.0));
         self.listener.progress(&state.progress);
     }
@@ -148,7 +154,7 @@ impl Context {
         self.check()?;
         let mut state = self.lock();
         let index = state.progress.stage_index as usize;
-        let before: f64 = state.weights.iter().take(index).map(|w| w.1).sum();
+        let before = state.weights.iter().take(index).fold(0.0, |sum, w| sum + w.1);
         let own = state.weights.get(index).map_or(0.0, |w| w.1);
         let whole = (before + own * fraction.clamp(0.0, 1.0)).min(1.0);
         state.progress.fraction = state.progress.fraction.max(whole);
@@ -187,8 +193,10 @@ impl Context {
         if state.known.contains(&warning) {
             return;
         }
+        *state.counts.entry(warning.code.clone()).or_default() += 1;
         if state.warnings.len() >= MOST_WARNINGS {
             state.unlisted += 1;
+            state.counts.insert(MORE_WARNINGS.to_owned(), 1);
             return;
         }
         self.listener.warning(&warning);
@@ -202,9 +210,14 @@ impl Context {
         let mut warnings = state.warnings.clone();
         if state.unlisted > 0 {
             let text = format!("{} further warnings are not listed", state.unlisted);
-            warnings.push(Warning::new("more_warnings", text));
+            warnings.push(Warning::new(MORE_WARNINGS, text));
         }
         warnings
+    }
+
+    /// How many warnings there are so far, by code: those that are not listed count too.
+    pub fn warning_counts(&self) -> BTreeMap<String, u64> {
+        self.lock().counts.clone()
     }
 
     /// Seconds by stage so far.
@@ -225,11 +238,13 @@ mod tests {
     fn warnings_are_told_once_and_only_the_first_are_listed() {
         let context = Context::silent();
         for n in (0..MOST_WARNINGS + 7).chain(0..10) {
-            context.warn(Warning::new("a", n.to_string()));
+            context.warn(Warning::new("kept_input", n.to_string()));
         }
         let warnings = context.warnings();
         assert_eq!(warnings.len(), MOST_WARNINGS + 1);
         let last = &warnings[MOST_WARNINGS];
         assert_eq!((last.code.as_str(), last.message.as_str()), ("more_warnings", "7 further warnings are not listed"));
+        let counts = context.warning_counts();
+        assert_eq!((counts["kept_input"], counts["more_warnings"]), (MOST_WARNINGS as u64 + 7, 1));
     }
 }

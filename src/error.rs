@@ -1,4 +1,8 @@
-//! The one failure type, and the closed list of its codes.
+//! The one failure type, and the closed lists of codes: those of failures, and those of warnings.
+
+mod warnings;
+
+pub use warnings::{WARNINGS, Warning};
 
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +24,8 @@ pub enum Code {
     InvalidOptions,
     /// A `require` entry is not met.
     RequirementNotMet,
+    /// There was a warning that `strict` names.
+    StrictWarning,
     /// The job was cancelled.
     Canceled,
     /// The request itself is malformed (HTTP).
@@ -57,6 +63,7 @@ impl Code {
             Code::TooLarge => "too_large",
             Code::InvalidOptions => "invalid_options",
             Code::RequirementNotMet => "requirement_not_met",
+            Code::StrictWarning => "strict_warning",
             Code::Canceled => "canceled",
             Code::InvalidRequest => "invalid_request",
             Code::UnsupportedMediaType => "unsupported_media_type",
@@ -112,26 +119,3 @@ impl Failure {
 
 /// Result with [`Failure`].
 pub type Result<T> = std::result::Result<T, Failure>;
-
-/// Something that the user should know and that did not stop the work.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct Warning {
-    /// Stable code in snake case.
-    pub code: String,
-    /// One sentence for a person.
-    pub message: String,
-    /// JSON pointer into the glTF document.
-    pub pointer: Option<String>,
-}
-
-impl Warning {
-    /// A warning without a pointer.
-    pub fn new(code: &str, message: impl Into<String>) -> Self {
-        Warning { code: code.to_owned(), message: message.into(), pointer: None }
-    }
-    /// The same warning, at a JSON pointer.
-    pub fn at(mut self, pointer: impl Into<String>) -> Self {
-        self.pointer = Some(pointer.into());
-        self
-    }
-}

@@ -1,6 +1,7 @@
 //! The command line: serve, refine, inspect, sample, openapi, health.
 //!
-//! Exit codes: 0 done; 1 internal; 2 usage; 3 the input is at fault; 4 a requirement is not met.
+//! Exit codes: 0 done; 1 internal; 2 usage; 3 the input is at fault; 4 a requirement is not met, or there is a warning
+//! that `strict` names.
 
 mod commands;
 
@@ -32,7 +33,7 @@ fn main() -> ExitCode {
     ExitCode::from(match failure.code {
         Code::Internal | Code::Canceled | Code::InsufficientStorage | Code::Unavailable => 1,
         Code::InvalidOptions | Code::InvalidRequest => 2,
-        Code::RequirementNotMet => 4,
+        Code::RequirementNotMet | Code::StrictWarning => 4,
         _ => 3,
     })
 }

@@ -5,7 +5,8 @@
 #
 # FILEs are those that the model names (.bin, images, .mtl), in its folder or below. The report comes to lie beside OUT as
 # OUT.report.json. Exit codes are those of `intarsia refine`: 0 done; 1 internal, or the service cannot be reached;
-# 2 usage; 3 the input is at fault; 4 a requirement is not met (the output is written all the same).
+# 2 usage; 3 the input is at fault; 4 a requirement is not met, or there is a warning that
+# `strict` names (the output is written all the same).
 # Needs bash, curl and jq.
 set -u
 
@@ -82,7 +83,7 @@ pause() {
 exit_code() {
   case $1 in
     invalid_options | invalid_request) echo 2 ;;
-    requirement_not_met) echo 4 ;;
+    requirement_not_met | strict_warning) echo 4 ;;
     internal | canceled | queue_full | insufficient_storage | unavailable | forbidden | not_found | gone | conflict | '') echo 1 ;;
     *) echo 3 ;;
   esac

@@ -156,9 +156,12 @@ fn contents<'a>(uri: &str, path: &str, upload: &'a Upload<'_>, whose: &str) -> R
     if uri::is_data(uri) {
         return uri::parse_data(uri).map(Cow::Owned).map_err(Failure::model);
     }
-    let file = upload
-        .find(&uri::resolve(path, uri).map_err(Failure::model)?)
-        .ok_or_else(|| Failure::new(Code::MissingFile, format!("the {whose} file {} was not uploaded", quote(uri))))?;
+    let file = upload.find(&uri::resolve(path, uri).map_err(Failure::model)?).ok_or_else(|| {
+        Failure::new(
+            Code::MissingFile,
+            format!("the {whose} file {} was not uploaded: send it along with the model, under that name", quote(uri)),
+        )
+    })?;
     Ok(Cow::Borrowed(&*file.bytes))
 }
 

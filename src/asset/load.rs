@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::archive;
 use super::buffers::resolve;
+use super::foreign::foreign;
 use super::glb;
 use super::limits::Limits;
 use super::name;
@@ -15,6 +16,7 @@ use super::upload::{Upload, UploadEntry, clean_path};
 use super::uri::{self, quote};
 use super::{Document, File};
 use crate::error::{Code, Failure, Result, Warning};
+use crate::params::near_or_all;
 
 /// Most values that a glTF JSON may hold: each takes some 80 bytes of memory, however short it is written.
 const MAX_JSON_VALUES: usize = 8_000_000;
@@ -148,7 +150,11 @@ fn unpack<'a>(files: &'a [File], limits: &Limits) -> Result<Upload<'a>> {
 fn find_model<'u, 'a>(upload: &'u Upload<'a>, main: Option<&str>) -> Result<(&'u UploadEntry<'a>, Container)> {
     if let Some(main) = main {
         let entry = upload.find(&clean_path(main, 0)).ok_or_else(|| {
-            Failure::new(Code::MissingFile, format!("the model {} is not among the files", quote(main)))
+            let paths: Vec<&str> = upload.entries().iter().map(|e| e.path.as_str()).collect();
+            Failure::new(
+                Code::MissingFile,
+                format!("the model {} is not among the files; {}", quote(main), near_or_all(main, &paths)),
+            )
         })?;
         let container = container(entry, true).ok_or_else(|| not_a_model(entry))?;
         return Ok((entry, container));
@@ -168,7 +174,15 @@ fn find_model<'u, 'a>(upload: &'u Upload<'a>, main: Option<&str>) -> Result<(&'u
         (None, _) => Err(match upload.entries() {
             [] => Failure::model("there is no file in the input"),
             [only] => not_a_model(only),
-            all => Failure::model(format!("none of the {} files is a .glb, .gltf, .obj, .b3dm or .i3dm", all.len())),
+            all => {
+                let names: Vec<String> = all.iter().take(MOST_NAMED).map(|e| told(e)).collect();
+                let more = if all.len() > MOST_NAMED { ", …" } else { "" };
+                let names = names.join(", ");
+                Failure::model(format!(
+                    "none of the {} files is a .glb, .gltf, .obj, .b3dm or .i3dm: {names}{more}",
+                    all.len()
+                ))
+            }
         }),
     }
 }
@@ -179,8 +193,17 @@ fn not_a_model(entry: &UploadEntry<'_>) -> Failure {
     }
     Failure::model(format!(
         "the file {} is neither GLB, glTF, OBJ, a 3D tile (.b3dm, .i3dm) nor a zip archive of one",
-        quote(&entry.path)
+        told(entry)
     ))
+}
+
+/// Most files that a message names.
+const MOST_NAMED: usize = 5;
+
+/// A file's name, with what it is where that is known of one that is not read.
+fn told(entry: &UploadEntry<'_>) -> String {
+    let what = foreign(&entry.path, &entry.bytes).map(|what| format!(" ({what})")).unwrap_or_default();
+    format!("{}{what}", quote(&entry.path))
 }
 
 /// What a file is, by its first bytes, then its name, and where `guess` is set by how its text looks.

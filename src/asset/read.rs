@@ -94,13 +94,13 @@ fn read_set(
         let owner = planned.primitives.get(atlas.provenance[first.index()].primitive as usize);
         let at = owner.map(|&(p, _)| index.primitives[p].pointer()).unwrap_or_default();
         let text = format!(
-            "{} faces have texture coordinates that are tens of thousands of images away: their corners are taken into the image, each by itself, and the rest is refined",
+            "{} faces have texture coordinates that are tens of thousands of images away, most likely an error of the program that wrote them. Their corners are taken into the image, each by itself, and the rest is refined",
             wild.len()
         );
         context.warn(Warning::new("wild_uvs", text).at(at));
     }
     if let Some(image) = leaves_conflict(&atlas, &planned) {
-        let text = "the texture set is left as it is: UVs leave the image, which is read with several wrap modes";
+        let text = "the texture set is left as it is: UVs leave the image, which is read with several wrap modes (give its samplers one, or keep UVs inside)";
         return left(Warning::new("sampler_conflict", text).at(format!("/images/{image}")));
     }
     let constant = !planned.slots.is_empty() && planned.slots.iter().all(|s| doc.merging.constants.contains(&s.image));

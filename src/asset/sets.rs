@@ -4,13 +4,14 @@
 //! included, read through it are the nodes of a graph; its connected components are the texture sets.
 //! What cannot be refined leaves by name, with a warning, and stays as it was uploaded.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::document::Document;
 use super::extensions::{OnPrimitive, on_primitive};
 use super::json::{array, object};
 use super::material_index::{MaterialIndex, Primitive, Texture, TextureUse};
 use super::options::UvSet;
+use super::primitive::declared_triangles;
 use super::texture_set::TextureSet;
 use super::transform::{TextureTransform, UvLayout};
 use crate::atlas::find_root;
@@ -99,6 +100,18 @@ pub(crate) fn plan_unmapped(doc: &Document, index: &MaterialIndex) -> Option<Pla
     (!primitives.is_empty()).then(|| Planned::without_images(primitives))
 }
 
+/// Whether triangles with the texture coordinates that are refined are in none of the sets, because something stands in the way.
+pub(crate) fn leaves_any(doc: &Document, index: &MaterialIndex, sets: &[TextureSet], uv_set: UvSet) -> bool {
+    let taken: BTreeSet<_> = sets.iter().flat_map(|s| s.primitives.iter().map(|p| (p.mesh, p.primitive))).collect();
+    let name = format!("TEXCOORD_{}", uv_set.number());
+    let is_left = |p: &Primitive| {
+        let value = doc.json.pointer(&p.pointer());
+        let value = value.filter(|v| v.get("attributes").is_some_and(|a| a.get(&name).is_some()));
+        p.is_triangles() && p.positions.is_some() && value.is_some_and(|v| declared_triangles(&doc.json, v) > 0)
+    };
+    index.primitives.iter().any(|p| !taken.contains(&(p.mesh, p.primitive)) && is_left(p))
+}
+
 /// The uses of a material that are refined with a layout.
 pub(crate) fn refined_uses(
     index: &MaterialIndex,
@@ -184,7 +197,9 @@ fn is_refinable(doc: &Document, primitive: &Primitive, uv_set: UvSet, context: &
         return false;
     }
     if uv_set != UvSet::New && array(value, "targets").iter().any(|t| t.get(&name).is_some()) {
-        let text = format!("the primitive is left as it is: a morph target moves its {name}");
+        let text = format!(
+            "the primitive is left as it is: a morph target moves its {name} (atlas.uv_set \"new\" gives it a layout beside that)"
+        );
         context.warn(Warning::new("texcoord_morph", text).at(format!("{pointer}/targets")));
         return false;
     }
@@ -217,26 +232,34 @@ fn may_change(
             );
         }
         if material.animated {
-            left("animated_texture_transform", "an animation moves one of its texture transforms");
+            left(
+                "animated_texture_transform",
+                "an animation moves one of its texture transforms (atlas.uv_set \"new\" gives its primitives a layout beside the old one)",
+            );
         }
         let directions = material.uses.iter().filter(|u| u.role.is_some_and(|r| r.is_direction()));
         let (ours, others): (Vec<_>, Vec<_>) = directions.partition(|u| u.layout == layout);
         if !ours.is_empty() && !others.is_empty() {
-            let text = "its directions are read through two layouts, and have one tangent space";
+            let text = "its normal maps (or anisotropy) are read through two layouts, and have one tangent space (read all through one TEXCOORD set and transform to have it refined)";
             left("directions_on_two_layouts", text);
         }
         if material.untextured_anisotropy && (!ours.is_empty() || !has_tangents) {
-            let text = "its anisotropy has no texture that could turn with the charts";
+            let text = "its anisotropy has no texture that could turn with the charts (give it an anisotropyTexture, or its primitives TANGENT)";
             left("anisotropy_without_texture", text);
         }
         for used in material.uses.iter().filter(|u| u.layout != layout || u.role.is_none()) {
             let (code, why) = if used.layout.uv_set != layout.uv_set {
                 let (own, refined) = (used.layout.uv_set, layout.uv_set);
-                ("other_uv_set", format!("it reads TEXCOORD_{own}, not TEXCOORD_{refined}"))
+                (
+                    "other_uv_set",
+                    format!(
+                        "it reads TEXCOORD_{own}, not TEXCOORD_{refined} (atlas.uv_set {own} refines that one instead)"
+                    ),
+                )
             } else if used.role.is_none() {
                 ("material_extension_texture", "it belongs to an extension that is not known".to_owned())
             } else {
-                ("other_texture_transform", "it is read through another texture transform".to_owned())
+                ("other_texture_transform", "it is read through another texture transform than what is refined (give all textures of the material one, to have all refined)".to_owned())
             };
             let text = format!("the texture keeps its layout: {why}");
             context.warn(Warning::new(code, text).at(at(used)));
@@ -382,14 +405,16 @@ fn slot(doc: &Document, image: usize, mut readers: Readers) -> std::result::Resu
     let at = format!("/images/{image}");
     let left = "the texture set is left as it is:";
     let bytes = doc.images.get(image).and_then(Option::as_ref);
-    let bytes = bytes.ok_or_else(|| Warning::new("missing_image", format!("{left} the image is missing")).at(&*at))?;
+    let bytes = bytes.ok_or_else(|| {
+        Warning::new("missing_image", format!("{left} the image is missing (send it along with the model)")).at(&*at)
+    })?;
     let header = header(bytes).map_err(|e| Warning::new("invalid_image", format!("{left} {}", e.message)).at(&*at))?;
     readers.roles.sort_unstable();
     let mut primitives: Vec<u32> = readers.readings.iter().flat_map(|r| r.primitives.iter().copied()).collect();
     primitives.sort_unstable();
     primitives.dedup();
     // Who reads an image with several wrap modes reads it inside: the first serves.
-    let mut seen = std::collections::BTreeSet::new();
+    let mut seen = BTreeSet::new();
     for reading in &mut readers.readings {
         reading.primitives.retain(|p| seen.insert(*p));
     }
@@ -457,6 +482,9 @@ pub fn mark_uniform(set: &mut TextureSet, slot: usize) {
 /// The warning due for a small slot that is not of one colour.
 pub fn small_slot_warning(set: &TextureSet, slot: usize) -> Option<Warning> {
     let slot = set.slots.get(slot).filter(|s| !s.exempt && is_small(s, set.reference))?;
-    let text = format!("{} is under 1/8 of the largest texture: its texels are resampled", slot.name);
+    let text = format!(
+        "{} is less than 1/8 as wide or high as the largest texture of its atlas: charts cannot move by whole texels of it, so that it is resampled",
+        slot.name
+    );
     Some(Warning::new("small_slot_resampled", text).at(format!("/images/{}", slot.image)))
 }

@@ -13,6 +13,8 @@ use crate::texture::Wrap;
 const MOST_SHEETS: f64 = 4.0;
 /// Bounding boxes with this many reference texels in all are baked out whatever they repeat.
 const MOST_TEXELS: f64 = 1_048_576.0;
+/// A texture that is repeated over more than so many times its own area is taken for a mistake.
+const MOST_MEANT: f64 = 1e4;
 /// Sets whose charts cover less than this many square texels in all read single colours.
 const LEAST_AREA: f64 = 1.0;
 /// A chart may stick out of a tile by this many texels before it counts as repeating it.
@@ -38,14 +40,14 @@ pub(crate) fn normalise_tiles(
 ) -> Result<(), Warning> {
     let area = || -> f64 { atlas.faces().map(|f| atlas.uv_area(f).abs()).sum() };
     let no_area = || {
-        let text = "the texture set is left as it is: its UVs have no area, so that it reads single texels";
+        let text = "the texture set is left as it is: its UVs have no area, so that it reads single texels, as of a palette: no other layout would be smaller";
         Warning::new("palette_texture", text)
     };
     if area() < LEAST_AREA && !constant && !slots.is_empty() {
         return Err(no_area());
     }
     if !atlas.uv.iter().all(|p| p.is_finite()) {
-        let text = "the texture set is left as it is: its texture transform throws UVs beyond all measure";
+        let text = "the texture set is left as it is: its texture transform throws UVs beyond all measure (its scale, offset and rotation should be ordinary numbers)";
         return Err(Warning::new("uv_out_of_range", text));
     }
     let size = DVec2::new(f64::from(sheet[0]), f64::from(sheet[1]));
@@ -220,7 +222,8 @@ fn check_tiling(boxes: &[(DVec2, DVec2)], wraps: &[[WrapUse; 2]], size: DVec2, t
         (0..2).any(|axis| !free(axis) && high[axis] - low[axis] > size[axis] + SLACK)
     };
     if tiling == Tiling::Leave && boxes.iter().zip(wraps).any(repeats) {
-        let text = "the texture set is left as it is: a chart repeats its texture";
+        let text =
+            "the texture set is left as it is: a chart repeats its texture (atlas.tiling \"bake\" has it baked out)";
         return Err(Warning::new("tiling_left", text));
     }
     let sum: f64 = boxes.iter().map(|(low, high)| (*high - *low).element_product()).sum();
@@ -229,10 +232,13 @@ fn check_tiling(boxes: &[(DVec2, DVec2)], wraps: &[[WrapUse; 2]], size: DVec2, t
     let many = sheets > MOST_SHEETS && sum > MOST_TEXELS;
     // Not a number where coordinates are beyond all measure.
     if (larger(0) || larger(1)) && (many || sheets.is_nan()) {
-        let text = format!(
-            "the texture set is left as it is: its charts spread over {sheets:.1} sheets, and at most {MOST_SHEETS} are made, or \
-             {MOST_TEXELS} texels"
-        );
+        // Beyond that it is no repetition that anybody meant.
+        let text = match sheets <= MOST_MEANT {
+            true => format!(
+                "the texture set is left as it is: its charts repeat the texture, which would have to be {sheets:.1} times as large to be baked out; at most {MOST_SHEETS} times are made. Give what repeats a material of its own, so that the rest can be refined"
+            ),
+            false => "the texture set is left as it is: its texture coordinates reach thousands of images away, which is most likely an error of the program that wrote them. Bring them into the image, and it can be refined".to_owned(),
+        };
         return Err(Warning::new("tiling_too_large", text));
     }
     Ok(())

@@ -17,7 +17,10 @@ pub fn run(arguments: &Health) -> Result<()> {
         let text = std::fs::read_to_string(&path);
         let noted = text.ok().and_then(|text| text.trim().parse().ok());
         noted.ok_or_else(|| {
-            Failure::new(Code::Internal, format!("no service has noted its address in {}", path.display()))
+            Failure::new(
+                Code::Internal,
+                format!("no service has noted its address in {}: is one running with that --data-dir?", path.display()),
+            )
         })
     };
     let address = reachable(arguments.listen.map_or_else(noted, Ok)?);

@@ -15,7 +15,7 @@ use intarsia::refine::run::Input;
 use super::progress::Teller;
 use super::table;
 
-/// Measures and tells; exit code 4 where a requirement is not met.
+/// Measures and tells; exit code 4 where a requirement is not met, or there is a warning that `strict` names.
 pub fn run(arguments: &Inspect) -> Result<()> {
     let mut options = super::read_options(&arguments.options, None)?;
     for text in &arguments.require {
@@ -33,11 +33,11 @@ pub fn run(arguments: &Inspect) -> Result<()> {
         ));
     }
     let context = Context::new(Arc::new(Teller::Quiet), Arc::new(AtomicBool::new(false)), options.seed);
-    let (report, failures) = pool.install(|| inspect_and_judge(&input, &options, &context))?;
+    let (report, verdict) = pool.install(|| inspect_and_judge(&input, &options, &context))?;
     let columns = table::columns(&report, "before");
     let text = if arguments.json { super::pretty(&report) } else { table::render(&columns) };
     super::print(&text)?;
-    super::judge(&failures, "a requirement is not met")
+    super::judge(&verdict, "")
 }
 
 /// The estimate for all models together, each with its files where they lie.

@@ -11,14 +11,14 @@ pub mod serve;
 mod table;
 
 use std::fs::File;
-use std::io::{ErrorKind, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
 use clap::{CommandFactory, FromArgMatches};
 use intarsia::asset::{self, read_paths};
 use intarsia::config::{Cli, OptionFlags};
 use intarsia::error::{Code, Failure, Result};
-use intarsia::metrics::Unmet;
+use intarsia::metrics::Verdict;
 use intarsia::refine::options::{ImportanceSource, Options, Output};
 use intarsia::refine::run::Input;
 use intarsia::refine::{parse, recipe};
@@ -50,7 +50,12 @@ fn read_input(paths: &[PathBuf], options: &Options) -> Result<Input> {
         }
     }
     if models.is_empty() {
-        return Err(Failure::new(Code::InvalidRequest, "no input is a model (.glb, .gltf, .obj, .b3dm, .i3dm, .zip)"));
+        let told: Vec<String> = paths.iter().map(|path| what(path)).collect();
+        let message = format!(
+            "no input is a model that is read (.glb, .gltf, .obj, .b3dm, .i3dm, .zip of one): {}",
+            told.join(", ")
+        );
+        return Err(Failure::new(Code::InvalidRequest, message));
     }
     let read = |model: &PathBuf| read_paths(&[std::slice::from_ref(model), side.as_slice()].concat());
     let mut models: Vec<Vec<asset::File>> = models.into_iter().map(read).collect::<Result<_>>()?;
@@ -65,14 +70,54 @@ fn read_input(paths: &[PathBuf], options: &Options) -> Result<Input> {
     Ok(Input { models, ..Input::default() })
 }
 
-/// Tells the requirements that are not met, if any, and fails with `message` then.
-fn judge(failures: &[Unmet], message: &str) -> Result<()> {
-    for failure in failures {
+/// An input that is no model, with what it is where that is known.
+fn what(path: &Path) -> String {
+    let mut head = [0; 16];
+    let read = File::open(path).and_then(|mut file| file.read(&mut head)).unwrap_or(0);
+    let name = path.display().to_string();
+    let what = asset::foreign(&name, head.get(..read).unwrap_or_default());
+    format!("{name}{}", what.map(|what| format!(" ({what})")).unwrap_or_default())
+}
+
+/// Fails where a file that is to be written later cannot be: its folder is not there or cannot be written to, or there is a folder of
+/// its name.
+fn check_output(path: &Path) -> Result<()> {
+    let bad =
+        |text: String| Err(Failure::new(Code::InvalidRequest, format!("cannot write {}: {text}", path.display())));
+    if path.is_dir() {
+        return bad("it is a folder; name a file in it".to_owned());
+    }
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        return bad(format!("the folder {} does not exist; make it first", folder.display()));
+    }
+    match tempfile::Builder::new().prefix(".intarsia-").suffix(".tmp").tempfile_in(folder) {
+        Ok(_) => Ok(()),
+        Err(e) => bad(format!("the folder {} takes no file: {e}", folder.display())),
+    }
+}
+
+/// The same of a folder that is made where it is not there.
+fn check_output_folder(path: &Path) -> Result<()> {
+    let there = path.ancestors().find(|a| a.as_os_str().is_empty() || a.exists()).unwrap_or(Path::new(""));
+    if there.as_os_str().is_empty() || there.is_dir() {
+        return check_output(&there.join("file"));
+    }
+    let text = format!("cannot write into {}: {} is a file, not a folder", path.display(), there.display());
+    Err(Failure::new(Code::InvalidRequest, text))
+}
+
+/// Tells the requirements that are not met, if any, and fails for what the result fails for; `note` ends the message.
+fn judge(verdict: &Verdict, note: &str) -> Result<()> {
+    for failure in &verdict.unmet {
         let got = failure.got.map_or("undefined".to_owned(), |g| g.to_string());
         let detail = failure.detail.as_ref().map(|d| format!(" ({d})")).unwrap_or_default();
         eprintln!("not met: {} wanted {}, got {got}{detail}", failure.path, failure.wanted);
     }
-    if failures.is_empty() { Ok(()) } else { Err(Failure::new(Code::RequirementNotMet, message)) }
+    match verdict.failure() {
+        Some(failure) => Err(Failure { message: format!("{}{note}", failure.message), ..failure }),
+        None => Ok(()),
+    }
 }
 
 /// The options of the flags: the file, then the recipe, then each `--set`. Every problem is told.
@@ -98,9 +143,10 @@ fn read_options(flags: &OptionFlags, output: Option<Output>) -> Result<Options> 
 /// Writes a file so that it is there whole or not at all: beside its place first, then renamed.
 fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     let failed = |e: std::io::Error| match e.kind() {
-        ErrorKind::NotFound => {
-            Failure::new(Code::InvalidRequest, format!("{}: the folder does not exist", path.display()))
-        }
+        ErrorKind::NotFound => Failure::new(
+            Code::InvalidRequest,
+            format!("cannot write {}: its folder does not exist; make it first", path.display()),
+        ),
         _ => Failure::internal(format!("{}: {e}", path.display())),
     };
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -22,6 +22,9 @@ const SUMMARY: [&str; 5] = ["charts", "packing_efficiency", "utilisation", "text
 /// Refines, writes, tells.
 pub fn run(arguments: &Refine) -> Result<()> {
     let output = container(&arguments.output)?;
+    super::check_output(&arguments.output)?;
+    arguments.report.iter().try_for_each(|path| super::check_output(path))?;
+    arguments.pictures.iter().try_for_each(|path| super::check_output_folder(path))?;
     let options = super::read_options(&arguments.options, Some(output))?;
     let input = Input { extras: arguments.pictures.is_some(), ..super::read_input(&arguments.input, &options)? };
     let limit = options.time_limit_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
@@ -50,7 +53,7 @@ pub fn run(arguments: &Refine) -> Result<()> {
             eprintln!("wrote {} ({bytes} bytes)", path.display());
         }
     }
-    super::judge(&outcome.failures, "a requirement is not met; the output is written all the same")
+    super::judge(&outcome.verdict, "; the output is written all the same")
 }
 
 /// The container that the output's name asks for.
@@ -60,7 +63,13 @@ fn container(path: &Path) -> Result<Output> {
         Some("gltf") => Ok(Output::Gltf),
         Some("b3dm") => Ok(Output::B3dm),
         Some("i3dm") => Ok(Output::I3dm),
-        _ => Err(Failure::new(Code::InvalidRequest, "the output is a .glb, a .gltf, or the input's .b3dm or .i3dm")),
+        _ => {
+            let text = format!(
+                "the output {} is no model: its name ends in .glb or .gltf, or as the input's in .b3dm or .i3dm",
+                path.display()
+            );
+            Err(Failure::new(Code::InvalidRequest, text))
+        }
     }
 }
 
@@ -135,7 +144,7 @@ fn write_pictures(folder: &Path, outcome: &Outcome) -> Result<()> {
 /// What was gained, in a few lines.
 fn summary(report: &Value) -> String {
     let (before, after) = (table::columns(report, "before"), table::columns(report, "after"));
-    let mut out = String::new();
+    let mut out = report["outcome"].as_str().map(|word| format!("outcome: {word}\n")).unwrap_or_default();
     for (before, after) in before.iter().zip(&after) {
         let change = |name: &str| {
             let (old, new) = (before.figures.get(name)?, after.figures.get(name)?);

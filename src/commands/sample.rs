@@ -3,7 +3,7 @@
 use intarsia::asset::sample::{names, sample};
 use intarsia::config::Sample;
 use intarsia::error::{Code, Failure, Result};
-use intarsia::refine::parse::nearest;
+use intarsia::refine::parse::near_or_all;
 
 /// Writes the model, or lists the names.
 pub fn run(arguments: &Sample) -> Result<()> {
@@ -11,8 +11,7 @@ pub fn run(arguments: &Sample) -> Result<()> {
         return super::print(&format!("{}\n", names().join("\n")));
     };
     if !names().contains(&name.as_str()) {
-        let hint = nearest(name, names()).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
-        let message = format!("no sample is called `{name}`{hint} There are: {}", names().join(", "));
+        let message = format!("no sample is called `{name}`; {}", near_or_all(name, names()));
         return Err(Failure::new(Code::InvalidRequest, message));
     }
     let Some(output) = &arguments.output else {

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
-use crate::asset::{TileHeader, check_entries, is_model_name, is_tile};
+use crate::asset::{TileHeader, check_entries, foreign, is_model_name, is_tile};
 use crate::error::{Code, Failure, Result};
 use crate::jobs::files::disk;
 
@@ -51,10 +51,12 @@ pub(super) fn check(path: &Path, name: &str, max_json: u64) -> Result<&'static s
             "glb" => Err(Failure::model("the model is called .glb but does not start with the magic `glTF`")),
             "gltf" => Err(Failure::model("the model is called .gltf but is not a JSON object")),
             "zip" => Err(Failure::model("the model is called .zip but is not an archive")),
-            _ => Err(Failure::new(
-                Code::UnsupportedMediaType,
-                "the model is neither GLB, glTF, OBJ, a 3D tile (.b3dm, .i3dm) nor a zip of one",
-            )),
+            _ => {
+                let what = foreign(name, &head).map(|what| format!("; it is {what}")).unwrap_or_default();
+                let text =
+                    format!("the model is neither GLB, glTF, OBJ, a 3D tile (.b3dm, .i3dm) nor a zip of one{what}");
+                Err(Failure::new(Code::UnsupportedMediaType, text))
+            }
         }
     }
 }

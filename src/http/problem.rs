@@ -21,6 +21,7 @@ pub fn status(code: Code) -> (StatusCode, &'static str) {
         Code::TooLarge => (StatusCode::PAYLOAD_TOO_LARGE, "A limit is exceeded"),
         Code::InvalidOptions => (StatusCode::UNPROCESSABLE_ENTITY, "The options are not valid"),
         Code::RequirementNotMet => (StatusCode::UNPROCESSABLE_ENTITY, "A requirement is not met"),
+        Code::StrictWarning => (StatusCode::UNPROCESSABLE_ENTITY, "There is a warning that `strict` names"),
         Code::Canceled => (StatusCode::CONFLICT, "The job was cancelled"),
         Code::InvalidRequest => (StatusCode::BAD_REQUEST, "The request is malformed"),
         Code::UnsupportedMediaType => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "The media type is not supported"),

@@ -315,7 +315,7 @@ mod tests {
             told,
             [
                 "no recipe or stage is called `nudg`; did you mean `nudge`?",
-                "unknown option `buy`; known here: by, breaks, spoils",
+                "unknown option `buy`; did you mean `by`?",
                 "`by` is 65, outside 1..=64",
             ]
         );

@@ -48,10 +48,13 @@ pub fn router(app: App, sites: Sites) -> Router {
     let (router, _) = all_routes().split_for_parts();
     let request_id = HeaderName::from_static("x-request-id");
     let mut router = router
-        .fallback(|| async { Problem::new(Code::NotFound, "there is no such route") })
+        .fallback(|| async { Problem::new(Code::NotFound, "there is no such route; /openapi.json lists all") })
         .method_not_allowed_fallback(|| async {
-            Problem::new(Code::InvalidRequest, "this route does not know the method")
-                .with_status(StatusCode::METHOD_NOT_ALLOWED)
+            Problem::new(
+                Code::InvalidRequest,
+                "this route does not know the method; the header Allow lists those that it knows",
+            )
+            .with_status(StatusCode::METHOD_NOT_ALLOWED)
         })
         // Uploads have a limit of their own, counted while they stream to the disk.
         .layer(DefaultBodyLimit::disable())

@@ -17,12 +17,11 @@ use tokio::runtime::Handle;
 
 use super::files::{Files, Manifest, disk};
 use super::hub::{Reporter, STEP};
-use super::worker::{Computed, refine};
+use super::worker::{Computed, Finished, refine};
 use super::{slots, system};
 use crate::asset::Limits;
 use crate::context::{Listener, Progress, Timing};
 use crate::error::{Code, Failure, Result, Warning};
-use crate::metrics::Unmet;
 use crate::refine::run::Artifact;
 
 /// Bytes of stderr of a child that are told in the log.
@@ -53,19 +52,13 @@ enum Event {
     Warning(Warning),
     /// The end of the attempt, whatever came of it.
     Ended {
-        result: std::result::Result<Results, Failure>,
+        result: std::result::Result<Finished<ResultFile>, Failure>,
         warnings: Vec<Warning>,
         timings: Vec<Timing>,
     },
 }
 
-/// The files of a result, `0`, `1`, … in the folder of the results, and the requirements that are not met.
-#[derive(Serialize, Deserialize)]
-struct Results {
-    files: Vec<ResultFile>,
-    failures: Vec<Unmet>,
-}
-
+/// A file of a result; they lie as `0`, `1`, … in the folder of the results.
 #[derive(Serialize, Deserialize)]
 struct ResultFile {
     name: String,
@@ -116,7 +109,7 @@ fn run(job: &str, request: &Request, reporter: &Reporter, runtime: &Handle) -> R
         return Ok(None);
     };
     let result = match result {
-        Ok(results) => Ok((read(&request.results, results.files)?, results.failures)),
+        Ok(finished) => Ok(finished.with(|files| read(&request.results, files))?),
         Err(failure) => Err(failure),
     };
     Ok(Some(Computed { result, warnings, timings }))
@@ -154,7 +147,7 @@ fn start(job: &str, request: &Request) -> io::Result<(Child, Pipes)> {
     Ok((child, Pipes { stdin, stdout, stderr }))
 }
 
-type Ended = (std::result::Result<Results, Failure>, Vec<Warning>, Vec<Timing>);
+type Ended = (std::result::Result<Finished<ResultFile>, Failure>, Vec<Warning>, Vec<Timing>);
 
 /// Passes on what the child tells, until its end.
 fn follow(stdout: impl Read, reporter: &Reporter) -> Option<Ended> {
@@ -209,14 +202,13 @@ pub fn attempt() -> Result<()> {
         let load = || Files::load(&request.uploads, &request.inputs);
         refine(&request.options, load, request.limits, teller, Arc::new(AtomicBool::new(false)))
     });
-    let result = computed.result.and_then(|(artifacts, failures)| {
-        let files = artifacts.into_iter().enumerate().map(|(n, artifact)| {
-            let path = request.results.join(n.to_string());
-            fs::write(&path, &artifact.bytes).map_err(|e| disk(&path, &e))?;
-            Ok(ResultFile { name: artifact.name, role: artifact.role, media_type: artifact.media_type })
-        });
-        Ok(Results { files: files.collect::<Result<_>>()?, failures })
-    });
+    let write = |(n, artifact): (usize, Artifact)| {
+        let path = request.results.join(n.to_string());
+        fs::write(&path, &artifact.bytes).map_err(|e| disk(&path, &e))?;
+        Ok(ResultFile { name: artifact.name, role: artifact.role, media_type: artifact.media_type })
+    };
+    let result =
+        computed.result.and_then(|finished| finished.with(|all| all.into_iter().enumerate().map(write).collect()));
     tell(&Event::Ended { result, warnings: computed.warnings, timings: computed.timings });
     Ok(())
 }

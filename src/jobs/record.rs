@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use crate::context::{Progress, Timing};
 use crate::error::{Code, Failure, Warning};
-use crate::metrics::Unmet;
+use crate::metrics::{RefinementOutcome, Unmet};
 
 /// Where a job stands. A final state never changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -112,6 +112,8 @@ pub struct Job {
     /// Its options, all defaults filled in.
     #[schema(value_type = crate::refine::options::OptionsSchema)]
     pub options: Value,
+    /// What became of what it was given; null until it has a result.
+    pub outcome: Option<RefinementOutcome>,
     /// How far it is.
     pub progress: Progress,
     /// 1 for the job that runs next; null unless queued.

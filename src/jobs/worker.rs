@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use futures_util::future::BoxFuture;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tokio::runtime::Handle;
 use tokio::sync::oneshot;
@@ -24,8 +25,8 @@ use super::stored_options;
 use crate::asset::{File, Limits};
 use crate::context::{Context, Listener, Progress, Timing};
 use crate::error::{Code, Failure, Result, Warning};
-use crate::metrics::Unmet;
-use crate::refine::run::{self, Artifact, Input};
+use crate::metrics::{RefinementOutcome, Verdict};
+use crate::refine::run::{self, Artifact, Input, Outcome};
 
 /// The lease is renewed, and progress stored, so many times while it lasts.
 const HEARTBEATS_PER_LEASE: u32 = 15;
@@ -41,10 +42,28 @@ const ABANDON_AFTER: Duration = Duration::from_millis(500);
 const BACKOFF: [Duration; 3] = [Duration::from_millis(200), Duration::from_millis(500), Duration::from_secs(1)];
 const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
+/// What came of a job that was computed to its end: its files, as whoever holds them names them.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Finished<F> {
+    /// The files of the result.
+    pub(super) files: Vec<F>,
+    /// What became of what it was given.
+    pub(super) outcome: RefinementOutcome,
+    /// What it fails for.
+    pub(super) verdict: Verdict,
+}
+
+impl<F> Finished<F> {
+    /// The same with other files.
+    pub(super) fn with<G>(self, files: impl FnOnce(Vec<F>) -> Result<Vec<G>>) -> Result<Finished<G>> {
+        Ok(Finished { files: files(self.files)?, outcome: self.outcome, verdict: self.verdict })
+    }
+}
+
 /// What the computing of a job gave.
 pub(super) struct Computed {
-    /// The files of the result, and the requirements that are not met.
-    pub(super) result: Result<(Vec<Artifact>, Vec<Unmet>)>,
+    /// Its result.
+    pub(super) result: Result<Finished<Artifact>>,
     /// All warnings.
     pub(super) warnings: Vec<Warning>,
     /// Seconds by stage.
@@ -67,7 +86,7 @@ enum Attempt {
 }
 
 struct Computation {
-    result: Result<(Vec<ArtifactEntry>, Vec<Unmet>)>,
+    result: Result<Finished<ArtifactEntry>>,
     /// All of them; `None` where only those are known that were reported on the way.
     warnings: Option<Vec<Warning>>,
     timings: Vec<Timing>,
@@ -230,7 +249,7 @@ impl Jobs {
             _ => None,
         };
         if let Some((state, error)) = instead {
-            end = AttemptEnd { state, error: Some(error), artifacts: Vec::new(), ..end };
+            end = AttemptEnd { state, error: Some(error), outcome: None, artifacts: Vec::new(), ..end };
             finished = self.finish(claim, &end).await;
         }
         let Some(published) = finished else {
@@ -296,18 +315,20 @@ fn attempt_end(reporter: &Reporter, computation: Computation) -> AttemptEnd {
     if result.is_ok() {
         status.progress.fraction = 1.0;
     }
-    let end = |state, error, artifacts| AttemptEnd { state, error, artifacts, status, timings };
-    match result {
-        Ok((artifacts, failures)) if failures.is_empty() => end(JobState::Succeeded, None, artifacts),
-        Ok((artifacts, failures)) => {
-            let paths: Vec<&str> = failures.iter().map(|f| f.path.as_str()).collect();
-            let message = format!("not met: {}", paths.join(", "));
-            let (code, pointer) = (Code::RequirementNotMet, Some("/require".to_owned()));
-            end(JobState::Failed, Some(JobError { code, message, pointer, failures }), artifacts)
+    let (state, error, outcome, artifacts) = match result {
+        Ok(Finished { files, outcome, verdict }) => match verdict.failure() {
+            None => (JobState::Succeeded, None, Some(outcome), files),
+            Some(failure) => {
+                let error = JobError { failures: verdict.unmet, ..JobError::from(failure) };
+                (JobState::Failed, Some(error), Some(outcome), files)
+            }
+        },
+        Err(failure) => {
+            let state = if failure.code == Code::Canceled { JobState::Canceled } else { JobState::Failed };
+            (state, Some(failure.into()), None, Vec::new())
         }
-        Err(failure) if failure.code == Code::Canceled => end(JobState::Canceled, Some(failure.into()), Vec::new()),
-        Err(failure) => end(JobState::Failed, Some(failure.into()), Vec::new()),
-    }
+    };
+    AttemptEnd { state, error, outcome, artifacts, status, timings }
 }
 
 /// The synchronous part, on the rayon pool: here, or in a process of its own.
@@ -333,9 +354,8 @@ fn compute(jobs: &Jobs, claim: &Claim, reporter: &Arc<Reporter>, runtime: &Handl
         refine(&claim.options, load, limits, reporter.clone(), reporter.stop.flag.clone())
     };
     let Computed { result, warnings, timings } = computed;
-    let stored = result.and_then(|(artifacts, failures)| {
-        let entries = patiently(reporter, || store(jobs, claim, &artifacts, runtime))?;
-        Ok((entries, failures))
+    let stored = result.and_then(|finished| {
+        finished.with(|artifacts| patiently(reporter, || store(jobs, claim, &artifacts, runtime)))
     });
     Attempt::Ended(Computation { result: stored, warnings: Some(warnings), timings })
 }
@@ -357,9 +377,9 @@ pub(super) fn refine(
     ignored.into_iter().for_each(|warning| context.warn(warning));
     let result = catch_panic(|| {
         let input = Input { models: load()?, limits, extras: true };
-        let outcome = run::refine(&input, &options, &context)?;
+        let Outcome { artifacts, outcome, verdict, .. } = run::refine(&input, &options, &context)?;
         context.check()?;
-        Ok((outcome.artifacts, outcome.failures))
+        Ok(Finished { files: artifacts, outcome, verdict })
     });
     Computed { result, warnings: context.warnings(), timings: context.timings() }
 }
@@ -416,6 +436,7 @@ fn catch_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::Unmet;
 
     #[test]
     fn a_panic_is_a_failure_of_ours() {
@@ -429,11 +450,17 @@ mod tests {
         let reporter = crate::jobs::hub::Hub::default().started("j", 1, 0.0);
         let unmet = Unmet { path: "atlas.charts".into(), wanted: "max 1".into(), got: Some(2.0), detail: None };
         let end_of = |result| attempt_end(&reporter, Computation { result, warnings: None, timings: Vec::new() });
-        let end = end_of(Ok((Vec::new(), vec![unmet.clone()])));
-        assert_eq!(end.state, JobState::Failed);
+        let finished = |unmet: Vec<Unmet>, strict: &[&str]| {
+            let strict = strict.iter().map(|code| ((*code).to_owned(), 1)).collect();
+            Ok(Finished { files: Vec::new(), outcome: RefinementOutcome::Refined, verdict: Verdict { unmet, strict } })
+        };
+        let end = end_of(finished(vec![unmet.clone()], &[]));
+        assert_eq!((end.state, end.outcome), (JobState::Failed, Some(RefinementOutcome::Refined)));
         let error = end.error.unwrap();
-        assert_eq!((error.code, error.failures), (Code::RequirementNotMet, vec![unmet]));
-        assert_eq!(end_of(Ok((Vec::new(), Vec::new()))).state, JobState::Succeeded);
+        assert_eq!((error.code, error.failures), (Code::RequirementNotMet, vec![unmet.clone()]));
+        let error = end_of(finished(vec![unmet.clone()], &["missing_image"])).error.unwrap();
+        assert_eq!((error.code, error.failures), (Code::StrictWarning, vec![unmet]));
+        assert_eq!(end_of(finished(Vec::new(), &[])).state, JobState::Succeeded);
         assert_eq!(end_of(Err(Failure::new(Code::Canceled, "stop"))).state, JobState::Canceled);
         assert_eq!(end_of(Err(Failure::model("bad"))).error.unwrap().code, Code::InvalidModel);
     }

@@ -1,4 +1,4 @@
-//! What a user's requirements make of a report.
+//! What a user's requirements, and `strict`, make of a result.
 
 use std::collections::BTreeMap;
 
@@ -9,6 +9,7 @@ use utoipa::ToSchema;
 use super::{Measures, Report};
 use crate::error::{Code, Failure, Result};
 use crate::metrics::Requirement;
+use crate::params::{listed, nearest};
 
 /// A requirement that is not met.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -23,6 +24,45 @@ pub struct Unmet {
     /// Which atlas it was found in, or why it is undefined: for the command line; the contract does not have it.
     #[serde(skip)]
     pub detail: Option<String>,
+}
+
+/// What a result that is there fails its job for.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Verdict {
+    /// Requirements that are not met.
+    pub unmet: Vec<Unmet>,
+    /// Warnings that `strict` names: how many there are of each code.
+    pub strict: BTreeMap<String, u64>,
+}
+
+impl Verdict {
+    /// The failure, where there is one. A warning comes first: it may be why a figure is missed.
+    pub fn failure(&self) -> Option<Failure> {
+        let paths: Vec<&str> = self.unmet.iter().map(|f| f.path.as_str()).collect();
+        let unmet = (!paths.is_empty()).then(|| format!("not met: {}", paths.join(", ")));
+        let count = |(code, n): (&String, &u64)| if *n > 1 { format!("{code} ({n} times)") } else { code.clone() };
+        let strict: Vec<String> = self.strict.iter().map(count).collect();
+        if strict.is_empty() {
+            return unmet.map(|text| Failure::new(Code::RequirementNotMet, text).at("/require"));
+        }
+        let more = unmet.map(|text| format!("; {text}")).unwrap_or_default();
+        let text = format!("there are warnings that `strict` names: {}{more}", strict.join(", "));
+        Some(Failure::new(Code::StrictWarning, text).at("/strict"))
+    }
+}
+
+/// Judges a report by what the user requires, and the warnings, counted by code, by those that `strict` names.
+///
+/// # Errors
+/// `invalid_options` for an unknown path in `require`.
+pub fn judge(
+    report: &Report,
+    require: &BTreeMap<String, Requirement>,
+    strict: &[String],
+    warnings: BTreeMap<String, u64>,
+) -> Result<Verdict> {
+    let strict = warnings.into_iter().filter(|(code, _)| strict.contains(code)).collect();
+    Ok(Verdict { unmet: unmet(report, require)?, strict })
 }
 
 /// Every path that `require` may name.
@@ -46,14 +86,17 @@ pub fn check_path(path: &str) -> Result<()> {
     if known.iter().any(|k| k == path) {
         return Ok(());
     }
-    // Without the scope, the name alone finds its neighbour.
-    let near = |k: &String| strsim::damerau_levenshtein(k, path).min(strsim::damerau_levenshtein(&k[6..], path) + 1);
-    let nearest = known.iter().min_by_key(|k| near(k)).cloned().unwrap_or_default();
-    Err(Failure::new(
-        Code::InvalidOptions,
-        format!("`{path}` is not a figure of the report; did you mean `{nearest}`?"),
-    )
-    .at(format!("/require/{}", path.replace('~', "~0").replace('/', "~1"))))
+    let figures: Vec<&str> = known.iter().filter_map(|path| path.strip_prefix("atlas.")).collect();
+    // What all paths begin with makes none of them a neighbour.
+    let scoped = path.split_once('.').filter(|(scope, _)| nearest(scope, &["atlas", "model"]).is_some());
+    let (scope, figure) = scoped.unwrap_or(("atlas", path));
+    let scope = nearest(scope, &["atlas", "model"]).unwrap_or("atlas");
+    let hint = match nearest(figure, &figures) {
+        Some(near) => format!("did you mean `{scope}.{near}`?"),
+        None => format!("a path is `atlas.` (every atlas) or `model.` and a figure; {}", listed(&figures)),
+    };
+    let text = format!("`{path}` is not a figure of the report; {hint}");
+    Err(Failure::new(Code::InvalidOptions, text).at(format!("/require/{}", path.replace('~', "~0").replace('/', "~1"))))
 }
 
 /// The figure of `path` (`atlas.` and `model.` stripped), or why it is not defined.
@@ -85,7 +128,7 @@ fn lookup(report: &Report, path: &str) -> Result<Vec<Compared>> {
 
 /// The requirements that `report` does not meet, by path; of several atlases the worst is named. An undefined figure
 /// fails, and so does `atlas.` when no atlas was refined.
-pub fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result<Vec<Unmet>> {
+fn unmet(report: &Report, require: &BTreeMap<String, Requirement>) -> Result<Vec<Unmet>> {
     let mut failures = Vec::new();
     for (path, wanted) in require {
         let values = lookup(report, path)?;
@@ -169,6 +212,7 @@ mod tests {
             atlases: efficiencies.iter().enumerate().map(atlas).collect(),
             textures: vec![],
             model: ModelReport { before: of(Some(0.5)), after: of(Some(0.75)) },
+            outcome: None,
             merged: Vec::new(),
             warnings: vec![],
         }
@@ -192,6 +236,19 @@ mod tests {
     }
 
     #[test]
+    fn strict_comes_first_and_tells_of_both() {
+        let mut verdict = Verdict::default();
+        assert_eq!(verdict.failure(), None);
+        verdict.unmet.push(Unmet { path: "atlas.charts".into(), wanted: "max 1".into(), got: None, detail: None });
+        let failure = verdict.failure().unwrap();
+        assert_eq!((failure.code, failure.message.as_str()), (Code::RequirementNotMet, "not met: atlas.charts"));
+        verdict.strict = BTreeMap::from([("invalid_image".to_owned(), 1), ("missing_image".to_owned(), 3)]);
+        let failure = verdict.failure().unwrap();
+        assert_eq!((failure.code, failure.pointer.as_deref()), (Code::StrictWarning, Some("/strict")));
+        assert!(failure.message.contains("invalid_image, missing_image (3 times); not met: atlas.charts"), "{failure}");
+    }
+
+    #[test]
     fn gains_and_ratios_compare_with_before() {
         let wanted = Requirement { min_gain: Some(0.3), max_ratio: Some(1.4), ..Requirement::default() };
         let failures = unmet(&report(&[]), &require("model.packing_efficiency", wanted)).unwrap_or_default();
@@ -204,7 +261,7 @@ mod tests {
         for (path, nearest) in [
             ("atlas.packing_eficiency", "`atlas.packing_efficiency`"),
             ("model.texel_density.medain", "`model.texel_density.median`"),
-            ("model.undefined", "`model."),
+            ("model.undefined", "`atlas.` (every atlas) or `model.` and a figure; there are: triangles"),
             ("seam_length", "`atlas.seam_length`"),
         ] {
             let failure = unmet(&report(&[]), &require(path, Requirement::default())).err();

@@ -1,7 +1,7 @@
 //! What an atlas is worth: figures, pictures, and the report's schema.
 //!
 //! [`measure`] gives the [`Measures`] of one atlas, one file a family; [`roll_up`] those of a model. [`Report`] is
-//! what a job says about its work, [`unmet`] what a user's requirements make of it, [`picture`] shows the charts.
+//! what a job says about its work, [`judge`] what a user's requirements make of it, [`picture`] shows the charts.
 
 mod boundary;
 mod canvas;
@@ -12,14 +12,16 @@ mod distortion;
 mod gate;
 mod gutter;
 mod measures;
+mod outcome;
 mod picture;
 mod raster;
 mod report;
 mod requirement;
 
 pub use density::TexelDensity;
-pub use gate::{Unmet, check_path, paths, unmet};
+pub use gate::{Unmet, Verdict, check_path, judge, paths};
 pub use measures::{MeasureInputs, Measures, SlotSize, measure, roll_up, without_layout};
+pub use outcome::RefinementOutcome;
 pub use picture::picture;
 pub use report::{
     AtlasReport, ImageReport, InputReport, ModelInput, ModelReport, Report, StageReport, TextureReport, TextureSource,

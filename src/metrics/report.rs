@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::Measures;
+use super::{Measures, RefinementOutcome};
 use crate::asset::Merged;
 use crate::error::Warning;
 use crate::texture::Format;
@@ -15,6 +15,8 @@ pub struct Report {
     pub schema: u32,
     /// Version of Intarsia.
     pub intarsia: String,
+    /// What became of all that came in; null where it was only inspected.
+    pub outcome: Option<RefinementOutcome>,
     /// What came in.
     pub input: InputReport,
     /// The stages that ran, in order.
@@ -83,7 +85,10 @@ pub struct StageReport {
     pub stage: String,
     /// Atlas that it ran on.
     pub atlas_id: u64,
-    /// Why it ended: `done`, or the limit that cut it short (`work_budget`, `time_limit`, …).
+    /// Why it ended. `done`; or the limit that cut it short (`work_budget`, `time_limit`, a parameter of the stage); or `no_improvement`:
+    /// its search found nothing better than what it had. Where its result was not taken: `not_smaller`, because that has more pixels than
+    /// it may have (`atlas.if_larger`, or a preset that asks for less), or `reverted`, because it was broken. What became of the atlas
+    /// then is its `outcome`.
     pub stopped_by: String,
     /// What the stage says of itself.
     #[serde(flatten)]
@@ -105,7 +110,9 @@ pub struct AtlasReport {
     pub uv_sets: Vec<u64>,
     /// Sheets after refinement.
     pub pages: u64,
-    /// Whether the atlas was refined; one that was not stays out of `require`.
+    /// What became of it; null where it was only inspected.
+    pub outcome: Option<RefinementOutcome>,
+    /// Whether it has a layout, so that its figures count: one without stays out of `require`. `outcome` tells what became of it.
     pub refined: bool,
     /// Least and greatest weight of its surface, where `importance` gives weights.
     pub importance: Option<[f64; 2]>,
@@ -115,7 +122,8 @@ pub struct AtlasReport {
     pub after: Measures,
 }
 
-/// One image before and after.
+/// One image before and after. Fidelity is that of the delivered file, decoded, against the uploaded one; figures that begin with `layout_`
+/// tell what the new layout alone cost, before the file was encoded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TextureReport {
     /// The atlas that it belongs to.
@@ -134,17 +142,26 @@ pub struct TextureReport {
     pub sources: Vec<TextureSource>,
     /// As delivered.
     pub after: ImageReport,
-    /// Texels of the slot, on all pages, whose centre a chart covers and that were copied unchanged.
+    /// Texels of the slot, on all pages, whose centre a chart covers and that were copied unchanged, before encoding.
     pub verbatim_texels: u64,
-    /// Surface colour before against after, before encoding, in dB, at most 120; null for directions.
+    /// Surface colour before against after in dB, at most 120; null for directions.
     #[schema(maximum = 120)]
     pub psnr_db: Option<f64>,
+    /// The same before encoding, where the encoder changed it.
+    #[schema(maximum = 120)]
+    pub layout_psnr_db: Option<f64>,
     /// Whether at all sampled points the texels of the bilinear footprint are equal (directions: after the turn).
     pub exact: bool,
+    /// The same before encoding: true where `exact` is false if the encoder alone changed texels.
+    pub layout_exact: bool,
     /// Median angle between directions before and after, in degrees; null for colours and data.
     pub angle_median_deg: Option<f64>,
     /// 95th percentile of that angle, in degrees.
     pub angle_p95_deg: Option<f64>,
+    /// Median angle before encoding, where the encoder changed it.
+    pub layout_angle_median_deg: Option<f64>,
+    /// 95th percentile of the angle before encoding, where the encoder changed it.
+    pub layout_angle_p95_deg: Option<f64>,
     /// Largest difference of a channel at the sampled points, in 1/255.
     pub max_error: f64,
     /// Mean difference of a channel at mip level 2, in 1/255.

@@ -14,8 +14,8 @@ use utoipa::ToSchema;
 
 pub use read::{Problem, out_of_range};
 pub(crate) use read::{keys, section, typed, unknown};
-pub use words::nearest;
-pub(crate) use words::{child, kind, short};
+pub(crate) use words::{child, kind, listed, short};
+pub use words::{near_or_all, nearest};
 
 /// A section of the options: an object whose keys are parameters.
 pub trait Params:

@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use super::words::{child, kind, name, nearest, short};
+use super::words::{child, kind, name, near_or_all, short};
 use super::{Params, Range};
 
 /// One thing that is wrong with the options.
@@ -79,11 +79,7 @@ pub(crate) fn section<T: Serialize + DeserializeOwned + Default>(
 /// The problem of a key that is none of those `known`.
 pub(crate) fn unknown(pointer: &str, key: &str, known: &[String]) -> Problem {
     let known: Vec<&str> = known.iter().map(String::as_str).collect();
-    let hint = match nearest(key, &known) {
-        Some(near) => format!("did you mean `{near}`?"),
-        None => format!("known here: {}", known.join(", ")),
-    };
-    Problem::unknown_key(pointer, format!("unknown option `{}`; {hint}", short(key)))
+    Problem::unknown_key(pointer, format!("unknown option `{}`; {}", short(key), near_or_all(key, &known)))
 }
 
 /// The value as `T`, or where and why it is not one.

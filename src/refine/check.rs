@@ -21,10 +21,23 @@ pub(super) fn violations(
     Ok(check(before, after, if is_rounded(after) { rounded(after) } else { Exactness::Exact }))
 }
 
-/// What is wrong, in words.
+/// What is wrong, as far as it says something to people: how many triangles would show what they should not. The rest goes to the log.
 pub(super) fn told(violations: &[Violation]) -> String {
-    let first = violations.first().map(ToString::to_string).unwrap_or_default();
-    format!("{first} ({} in all)", violations.len())
+    for violation in violations {
+        tracing::debug!(%violation, "a layout is broken");
+    }
+    let count = |of: fn(&Violation) -> bool| violations.iter().filter(|v| of(v)).count();
+    let kinds = [
+        (count(|v| matches!(v, Violation::Overlap(..))), "pairs of triangles overlap that did not before"),
+        (count(|v| matches!(v, Violation::TooManyOverlaps)), "searches for overlaps found too many"),
+        (count(|v| matches!(v, Violation::Flipped(_))), "triangles are turned over or have lost their area"),
+        (count(|v| matches!(v, Violation::OutsideSheet(..))), "triangles leave their sheet"),
+        (count(|v| matches!(v, Violation::NotFinite(_))), "triangles have texture coordinates that are no numbers"),
+    ];
+    let known: usize = kinds.iter().map(|k| k.0).sum();
+    let others = (violations.len() - known, "triangles are not those of the surface any more");
+    let told = kinds.into_iter().chain([others]).filter(|k| k.0 > 0).map(|(n, what)| format!("{n} {what}"));
+    told.collect::<Vec<_>>().join(", ")
 }
 
 /// Checks the Atlas that was read back from the written document.
@@ -34,7 +47,7 @@ pub(super) fn told(violations: &[Violation]) -> String {
 pub(super) fn written(before: &Atlas, after: &Atlas, context: &Context) -> Result<()> {
     context.check()?;
     check(before, after, rounded(after))
-        .map_err(|wrong| Failure::internal(format!("the written model failed its check: {}", told(&wrong))))
+        .map_err(|wrong| Failure::internal(format!("the refined model is broken ({}), and is not delivered: the fault is Intarsia's, please report it with the model", told(&wrong))))
 }
 
 /// As texture coordinates of 32 bits are known.

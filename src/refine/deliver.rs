@@ -12,7 +12,7 @@ use super::write::{Written, texture_name};
 use crate::asset::{self, Document, File};
 use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
-use crate::metrics::{picture, unmet};
+use crate::metrics::{RefinementOutcome, judge, picture};
 
 /// Longest side of a picture, in pixels.
 const PICTURE_SIDE: u32 = 1024;
@@ -41,7 +41,8 @@ pub(super) fn deliver(
     }
     let mut report = report(loaded, &refinements, true, context)?;
     report.merged = merged;
-    let failures = unmet(&report, &options.require)?;
+    let verdict = judge(&report, &options.require, &options.strict, context.warning_counts())?;
+    let outcome = report.outcome.unwrap_or(RefinementOutcome::NothingToRefine);
     let report = serde_json::to_value(&report).map_err(|e| Failure::internal(e.to_string()))?;
 
     context.step(0.8, "saving")?;
@@ -62,7 +63,7 @@ pub(super) fn deliver(
         let archive = archive(&artifacts)?;
         artifacts.push(Artifact::new("result.zip", "archive", "application/zip", archive));
     }
-    Ok(Outcome { artifacts, report, failures })
+    Ok(Outcome { artifacts, report, outcome, verdict })
 }
 
 /// The models as files: `model`, or `model-0`, `model-1`, … where there are several.
@@ -101,7 +102,7 @@ fn panel_files(r: &Refinement<'_>, params: &FabricationParams, context: &Context
     let off = worst_scale(&r.atlas);
     if off > SAME_SCALE {
         let text = format!(
-            "the charts of atlas {id} differ in scale: some panels are too large or too small by a factor of {off:.3}"
+            "the charts of atlas {id} differ in scale: some panels are too large or too small by a factor of {off:.3} and will not fit together (optcuts before box_cutter evens that out)"
         );
         context.warn(Warning::new("panel_scale", text));
     }

@@ -6,7 +6,7 @@
 //!
 //! All stages take a weight for what a unit of length of a cut costs there, at an edge the mean of its ends.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use image::DynamicImage;
 use serde::{Deserialize, Serialize};
@@ -20,7 +20,7 @@ use crate::asset::{self, ComponentType, Document, File, Kind, Limits, PrimitiveR
 use crate::atlas::Provenance;
 use crate::context::Context;
 use crate::error::{Code, Failure, Result, Warning};
-use crate::params::{Problem, child, short};
+use crate::params::{Problem, child, listed, near_or_all, short};
 use crate::texture::{Wrap, decode, texel};
 
 /// Weight of what the source says nothing of.
@@ -200,12 +200,14 @@ fn from_attribute(text: &str, subjects: &[Subject<'_>], context: &Context) -> Re
         raw.push(faces);
     }
     if raw.iter().flatten().all(Option::is_none) {
-        return Err(wrong(format!("no primitive that is refined has an attribute `{name}`")));
+        return Err(wrong(format!("no primitive that is refined has an attribute `{name}`; {}", attributes(subjects))));
     }
     for (subject, faces) in subjects.iter().zip(&raw) {
         for primitive in &subject.set.primitives {
             if faces.get(primitive.first_face).is_some_and(Option::is_none) {
-                let text = format!("the primitive has no attribute `{name}`: its weight is {ORDINARY}");
+                let text = format!(
+                    "the primitive has no attribute `{name}`: its weight is {ORDINARY}, as anything ordinary (give it the attribute if parts of it matter more)"
+                );
                 let pointer = format!("/meshes/{}/primitives/{}", primitive.mesh, primitive.primitive);
                 context.warn(Warning::new("importance_missing", text).at(pointer));
             }
@@ -264,16 +266,23 @@ fn from_texture(name: &str, subjects: &[Subject<'_>], limits: &Limits, context: 
             break;
         }
     }
-    let bytes = found
-        .ok_or_else(|| Failure::new(Code::InvalidOptions, format!("no file `{name}` came with the model")).at(at))?;
+    let bytes = found.ok_or_else(|| {
+        Failure::new(
+            Code::InvalidOptions,
+            format!("no file `{name}` came with the model: send it along, as a further file"),
+        )
+        .at(at)
+    })?;
     let image = decode(&bytes, limits.max_image_pixels).map_err(|f| f.at(at))?;
     let mut all = Vec::new();
     for subject in subjects {
         context.check()?;
         let atlas = &subject.set.atlas;
         if !atlas.has_layout() {
-            let text =
-                format!("{} has no texture coordinates to read weights at: its weight is {ORDINARY}", subject.set.name);
+            let text = format!(
+                "{} has no texture coordinates to read weights at: its weight is {ORDINARY}, as anything ordinary (weights by attribute or material need none)",
+                subject.set.name
+            );
             context.warn(Warning::new("importance_missing", text).at(at));
             all.push(Importance { corners: vec![[ORDINARY; 3]; atlas.face_count()] });
             continue;
@@ -301,6 +310,18 @@ fn first_channel(image: &DynamicImage, uv: glam::DVec2) -> f64 {
     row(0) * (1.0 - t.y) + row(1) * t.y
 }
 
+/// The attributes that weights could be read from, in words.
+fn attributes(subjects: &[Subject<'_>]) -> String {
+    let of = |subject: &Subject<'_>, p: &PrimitiveRef| {
+        let pointer = format!("/meshes/{}/primitives/{}/attributes", p.mesh, p.primitive);
+        let found = subject.doc.json.pointer(&pointer).and_then(Value::as_object);
+        found.into_iter().flat_map(|all| all.keys().cloned()).collect::<Vec<_>>()
+    };
+    let all = subjects.iter().flat_map(|s| s.set.primitives.iter().flat_map(move |p| of(s, p)));
+    let all: BTreeSet<String> = all.collect();
+    listed(&all.iter().map(String::as_str).collect::<Vec<_>>())
+}
+
 fn from_materials(weights: &BTreeMap<String, f64>, subjects: &[Subject<'_>]) -> Result<Vec<Importance>> {
     let mut known: Vec<String> = Vec::new();
     for subject in subjects {
@@ -312,8 +333,8 @@ fn from_materials(weights: &BTreeMap<String, f64>, subjects: &[Subject<'_>]) -> 
         let wrong = |message: String| Err(Failure::new(Code::InvalidOptions, message).at(&*at));
         if !known.contains(name) {
             let names: Vec<&str> = known.iter().map(String::as_str).collect();
-            let hint = crate::params::nearest(name, &names).map(|n| format!("; did you mean `{n}`?"));
-            return wrong(format!("no material is called `{name}`{}", hint.unwrap_or_default()));
+            let hint = near_or_all(name, &names);
+            return wrong(format!("no material is called `{name}`; {hint}"));
         }
         if !weight.is_finite() || *weight < 0.0 {
             return wrong(format!("the weight of `{name}` is {weight}; weights are finite and at least 0"));

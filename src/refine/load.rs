@@ -22,6 +22,8 @@ pub(super) struct Loaded {
     pub groups: Vec<Group>,
     /// Bytes of all files.
     pub bytes: u64,
+    /// Whether triangles with texture coordinates are in no texture set, because something stands in the way.
+    pub left: bool,
 }
 
 /// One model.
@@ -59,7 +61,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
         return Err(Failure::new(Code::InvalidRequest, "there is no model"));
     }
     let count = input.models.len();
-    let mut loaded = Loaded { models: Vec::new(), groups: Vec::new(), bytes: total_bytes(&input.models) };
+    let mut loaded = Loaded { models: Vec::new(), groups: Vec::new(), bytes: total_bytes(&input.models), left: false };
     let mut sets: Vec<(usize, TextureSet)> = Vec::new();
     let mut unused: Option<BTreeSet<String>> = None;
     for (index, files) in input.models.iter().enumerate() {
@@ -72,6 +74,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
             failure
         });
         let ReadModel { doc, index: indexed, merge, sets: own, unused: left } = own?;
+        loaded.left |= asset::leaves_any(&doc, &indexed, &own, options.atlas.uv_set);
         let left: BTreeSet<String> = left.into_iter().collect();
         unused = Some(unused.map_or(left.clone(), |before| &before & &left));
         sets.extend(own.into_iter().map(|set| (index, set)));
@@ -85,7 +88,9 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
         _ => None,
     };
     for path in unused.iter().flatten().filter(|path| Some(*path) != weights) {
-        let text = format!("the file `{path}` was uploaded, and no model names it: it is not used");
+        let text = format!(
+            "the file `{path}` was uploaded, and no model names it: it is not used (if it should be, check its name against that in the model)"
+        );
         context.warn(Warning::new("unused_file", text));
     }
     // Layouts without images are numbered after those with, and surfaces without a layout after all.
@@ -93,8 +98,9 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     let mapped = sets.iter().filter(|(_, set)| set.atlas.has_layout()).count();
     let unwraps = join && options.steps().iter().any(|step| !step.stage.needs_layout());
     let refinable = if unwraps { sets.len() } else { mapped };
-    if refinable == 0 && context.warnings().is_empty() {
-        context.warn(nothing_to_refine(&loaded.models, options.atlas.uv_set));
+    if refinable == 0 {
+        let warned = !context.warnings().is_empty();
+        context.warn(nothing_to_refine(&loaded.models, options.atlas.uv_set, warned));
     }
     let weights = match &options.importance {
         Some(source) => {
@@ -115,7 +121,10 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
     };
     for (model, set) in sets[..mapped].iter().filter(|(_, set)| join != Join::Nothing && !can_join(set)) {
         loaded.speak_of(*model, context);
-        let text = format!("the charts of {} spread too far for a shared sheet: it keeps its own atlas", set.name);
+        let text = format!(
+            "the charts of {} spread too far for a shared sheet: it keeps its own atlas (bring its texture coordinates into the image to have it share one)",
+            set.name
+        );
         context.warn(Warning::new("not_joined", text));
     }
     loaded.groups = groups(sets, weights, join);
@@ -130,7 +139,7 @@ pub(super) fn load(input: &Input, options: &Options, join: bool, context: &Conte
 }
 
 /// Why there is nothing to refine.
-fn nothing_to_refine(models: &[Model], uv_set: UvSet) -> Warning {
+fn nothing_to_refine(models: &[Model], uv_set: UvSet, warned: bool) -> Warning {
     let list = |value: &Value, key: &str| value.get(key).and_then(Value::as_array).cloned().unwrap_or_default();
     let meshes = models.iter().flat_map(|m| list(&m.doc.json, "meshes"));
     let primitives = meshes.flat_map(|mesh| list(&mesh, "primitives"));
@@ -143,8 +152,11 @@ fn nothing_to_refine(models: &[Model], uv_set: UvSet) -> Warning {
     }
     let message = match (all, with) {
         (0, _) => "the model has no triangles".to_owned(),
-        (_, 0) => format!("the model has no texture coordinates: none of its {all} triangle primitives has {name}"),
-        _ => format!("none of the {with} primitives with texture coordinates has triangles that could be refined"),
+        (_, 0) => format!(
+            "the model has no texture coordinates: none of its {all} triangle primitives has {name} (the recipe unwrap makes some; atlas.uv_set names another set)"
+        ),
+        _ if warned => format!("the other warnings say why of the {with} primitives with {name}"),
+        _ => format!("the {with} primitives with {name} have no triangles with an area"),
     };
     Warning::new("nothing_to_refine", format!("nothing is refined: {message}"))
 }
@@ -201,7 +213,7 @@ fn read(
     if merging {
         merge = asset::prepare_merge(&mut doc, &mut index, options.atlas.uv_set.number())?;
         if merge.is_none() {
-            let text = "the model is not merged: it uses an extension, or animates materials, that merging does not understand";
+            let text = "the model is not merged: it uses an extension, or animates materials, that merging does not understand; it is refined material by material";
             context.warn(Warning::new("not_merged", text));
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
-use utoipa::openapi::schema::{AdditionalProperties, Type};
+use utoipa::openapi::schema::{AdditionalProperties, ArrayBuilder, Type};
 use utoipa::openapi::{Object, RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
@@ -16,7 +16,7 @@ use super::recipe::{PRESETS, PresetStage, Step, preset};
 use super::table::{self, StageSections};
 use crate::asset::{Demand, ReadOptions, TileKind, Tiling, UvSet};
 use crate::atlas::OverlapMode;
-use crate::error::{Code, Failure, Result};
+use crate::error::{Code, Failure, Result, WARNINGS};
 use crate::metrics::{self, Requirement};
 use crate::packing::Pack;
 use crate::params::params;
@@ -46,6 +46,8 @@ pub struct Options {
     pub output: Output,
     /// Requirements on the report: a dotted path to its bounds.
     pub require: BTreeMap<String, Requirement>,
+    /// Codes of warnings that fail the job, whose result is there all the same.
+    pub strict: Vec<String>,
     /// Path of the model to take, where an archive holds several; null takes the only one.
     pub model: Option<String>,
     /// Seed of every random choice.
@@ -125,8 +127,20 @@ impl PartialSchema for OptionsSchema {
             let paths = Object::builder().schema_type(Type::String).enum_values(Some(metrics::paths()));
             require.property_names = Some(Box::new(paths.build().into()));
         }
+        if let Some(strict) = options.properties.get_mut("strict") {
+            *strict = strict_schema();
+        }
         RefOr::T(options.into())
     }
+}
+
+/// The schema of `strict`: the codes of all warnings, with what each tells.
+fn strict_schema() -> RefOr<Schema> {
+    let codes = Object::builder().schema_type(Type::String).enum_values(Some(WARNINGS.iter().map(|w| w.0)));
+    let told: Vec<String> = WARNINGS.iter().map(|(code, what)| format!("* `{code}`: {what}")).collect();
+    let about = "Codes of warnings that fail the job (`strict_warning`), whose result is there all the same. The preset `gate` fills them in.";
+    let all = ArrayBuilder::new().items(codes).max_items(Some(WARNINGS.len())).unique_items(true);
+    all.description(Some(format!("{about}\n\n{}", told.join("\n")))).into()
 }
 
 /// Takes the defaults from those parameters that a preset has another value for.

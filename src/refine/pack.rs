@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use serde_json::{Map, Value};
 
 use super::options::{IfLarger, Options};
+use super::refinement::NOT_SMALLER;
 use super::stage::{SheetInfo, Stage, StageInput, Staged};
 use crate::asset::lcm;
 use crate::atlas::{
@@ -50,11 +51,11 @@ pub(super) fn finished(
         return Staged { atlas: result, stopped_by, figures, kept: false };
     }
     let text = format!(
-        "the sheet of atlas {} would not become smaller: it stays as uploaded (set atlas.if_larger to \"accept\" to take the result)",
+        "the sheet of atlas {} would become larger: it stays as it was (set atlas.if_larger to \"accept\" to take the result)",
         input.sheet_info.id
     );
     input.context.warn(Warning::new("kept_input", text));
-    Staged { atlas: input.atlas.clone(), stopped_by: "no_improvement", figures, kept: true }
+    Staged { atlas: input.atlas.clone(), stopped_by: NOT_SMALLER, figures, kept: true }
 }
 
 /// Packs the charts, or the clusters of charts, on new sheets, and gives the work that it took. `starts` are layouts of the clusters in
@@ -181,7 +182,7 @@ fn place(pieces: &[Piece], input: &StageInput<'_>, starts: &[InitialLayout], eff
             None => {
                 let [width, height] = sheet;
                 let text = format!(
-                    "the charts and their gutters do not fit on a sheet of {width} x {height} texels at any scale"
+                    "the charts and their gutters do not fit on a sheet of {width} x {height} texels at any scale: take a larger texture.size or a smaller pack.gutter"
                 );
                 Err(Failure::new(Code::TooLarge, text).at("/texture/size"))
             }
@@ -197,7 +198,9 @@ fn place(pieces: &[Piece], input: &StageInput<'_>, starts: &[InitialLayout], eff
         Err(failure) if failure.code != Code::TooLarge => Err(failure),
         _ => {
             let (id, side) = (sheet_info.id, texture.max_size);
-            let text = format!("the charts of atlas {id} are scaled down to fit on a sheet of {side} texels");
+            let text = format!(
+                "the charts of atlas {id} are scaled down to fit on a sheet of {side} texels, and lose detail (a larger texture.max_size, or texture.overflow \"pages\", keeps it)"
+            );
             context.warn(Warning::new("scaled_to_fit", text));
             fitted(largest_sheet(request.max[0], request.round, request.aspect), 1.0)
         }

@@ -12,10 +12,10 @@ use serde_json::{Map, Value};
 
 use super::options::{Options, Output};
 use crate::config::OptionFlags;
-use crate::error::{Code, Failure};
+use crate::error::{Code, Failure, WARNINGS};
 use crate::metrics::Requirement;
-pub use crate::params::{Problem, nearest};
-use crate::params::{child, keys, kind, section, typed, unknown};
+pub use crate::params::{Problem, near_or_all};
+use crate::params::{child, keys, kind, section, short, typed, unknown};
 pub use json::json;
 pub use recipe::recipe_named;
 
@@ -57,8 +57,9 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
                 let base = out.fabrication.clone().unwrap_or_default();
                 out.fabrication = Some(section(&base, value, &pointer, &mut problems));
             }
+            "strict" => out.strict = strict(value, &pointer, &mut problems),
             "require" => out.require = requirements(value, &pointer, &mut problems),
-            _ if !known.contains(key) => problems.push(unknown(&pointer, key, &known)),
+            _ if !known.contains(key) => problems.push(unknown_option(&pointer, key, &known)),
             _ => match out.stages.find(key).map(|own| own.over(value, &pointer, &mut problems)) {
                 Some(stage) => out.stages.replace(stage),
                 None => {
@@ -71,11 +72,25 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
             },
         }
     }
-    let Options { recipe, pack, stages, texture, atlas, fabrication, require, .. } = out;
+    let Options { recipe, pack, stages, texture, atlas, fabrication, require, strict, .. } = out;
     let plain: Options = typed(&Value::Object(plain), "").unwrap_or_default();
-    let out = Options { recipe, pack, stages, texture, atlas, fabrication, require, ..plain };
+    let out = Options { recipe, pack, stages, texture, atlas, fabrication, require, strict, ..plain };
     problems.extend(ranges::ranges(&out));
     if problems.is_empty() { Ok(out) } else { Err(problems) }
+}
+
+/// The problem of an option that there is not: it may stand in a section.
+fn unknown_option(pointer: &str, key: &str, known: &[String]) -> Problem {
+    let all = serde_json::to_value(Options { fabrication: Some(Default::default()), ..Options::default() });
+    let sections = all.as_ref().ok().and_then(Value::as_object).into_iter().flatten();
+    let holds = |section: &Value| section.as_object().is_some_and(|s| s.contains_key(key));
+    let places: Vec<String> =
+        sections.filter(|(_, section)| holds(section)).map(|(name, _)| format!("`{name}.{key}`")).collect();
+    if places.is_empty() {
+        return unknown(pointer, key, known);
+    }
+    let text = format!("unknown option `{}`; it stands in a section: {}", short(key), places.join(", "));
+    Problem::unknown_key(pointer, text)
 }
 
 /// The options of a command line: those of its file, then its recipe and the output's container, then each `--set`.
@@ -132,6 +147,30 @@ pub fn set(options: &mut Value, assignment: &str) -> Result<(), Problem> {
     }
     *at = value;
     Ok(())
+}
+
+/// Codes of warnings, each once.
+fn strict(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> Vec<String> {
+    let Some(list) = value.as_array() else {
+        let text = format!("`strict` is a list of codes of warnings, such as [\"missing_image\"], not {}", kind(value));
+        problems.push(Problem::new(pointer, text));
+        return Vec::new();
+    };
+    let known: Vec<&str> = WARNINGS.iter().map(|w| w.0).collect();
+    let mut out: Vec<String> = Vec::new();
+    for (i, code) in list.iter().enumerate() {
+        let at = child(pointer, &i.to_string());
+        match code.as_str() {
+            Some(code) if out.iter().any(|c| c == code) => {}
+            Some(code) if known.contains(&code) => out.push(code.to_owned()),
+            Some(code) => {
+                let text = format!("no warning has the code `{}`; {}", short(code), near_or_all(code, &known));
+                problems.push(Problem::new(at, text));
+            }
+            None => problems.push(Problem::new(at, format!("the code of a warning is a string, not {}", kind(code)))),
+        }
+    }
+    out
 }
 
 fn requirements(value: &Value, pointer: &str, problems: &mut Vec<Problem>) -> BTreeMap<String, Requirement> {

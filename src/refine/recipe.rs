@@ -101,6 +101,12 @@ pub const PRESETS: &[Preset] = &[
         stages: &[PresetStage::new("defrag"), PresetStage { stage: "box_cutter", only_if_smaller: true }],
         options: FOR_SCANS,
     },
+    Preset {
+        name: "gate",
+        description: "Packs, and fails the job where an image is missing or cannot be read, or where there is nothing to refine: for CI, with require.",
+        stages: &[PresetStage::new("pack")],
+        options: r#"{"strict": ["missing_image", "invalid_image", "nothing_to_refine"]}"#,
+    },
     // Panels are cut from sheets of material: any turn, never mirrored, every panel once.
     Preset {
         name: "fabrication",

@@ -13,7 +13,7 @@ use super::{check, fabrication};
 use crate::atlas::Atlas;
 use crate::context::Context;
 use crate::error::{Result, Warning};
-use crate::metrics::StageReport;
+use crate::metrics::{RefinementOutcome, StageReport};
 use crate::packing::{Gutter, Pack};
 
 /// Code of the warning that a stage broke an Atlas and was undone.
@@ -21,6 +21,12 @@ pub(super) const STAGE_REVERTED: &str = "stage_reverted";
 
 /// Code of the warning that charts that a stage broke were given back.
 const CHARTS_GIVEN_BACK: &str = "charts_given_back";
+
+/// Why a stage ended whose result was not taken because it has too many pixels.
+pub(super) const NOT_SMALLER: &str = "not_smaller";
+
+/// Figures of stages that say that a part of the surface was not refined.
+const LEFT_AS_UPLOADED: [&str; 4] = ["held_back", "charts_given_back", "charts_kept", "pieces_reverted"];
 
 /// One group of texture sets on its way through the recipe.
 pub(super) struct Refinement<'a> {
@@ -30,6 +36,8 @@ pub(super) struct Refinement<'a> {
     pub atlas: Atlas,
     /// Whether nothing has been changed so far: the sets stay as uploaded.
     pub kept: bool,
+    /// Whether a part of it is as uploaded, or as it was before a stage that was undone.
+    partly: bool,
     /// What the stages said.
     pub stages: Vec<StageReport>,
     /// The images, once they are baked.
@@ -40,7 +48,17 @@ impl<'a> Refinement<'a> {
     /// Before any stage.
     pub fn untouched(group: &'a Group) -> Self {
         let atlas = group.set().atlas.clone();
-        Refinement { group, atlas, kept: true, stages: Vec::new(), slots: Vec::new() }
+        Refinement { group, atlas, kept: true, partly: false, stages: Vec::new(), slots: Vec::new() }
+    }
+
+    /// What became of it.
+    pub fn outcome(&self) -> RefinementOutcome {
+        match (self.atlas.has_layout(), self.kept) {
+            (false, _) => RefinementOutcome::NothingToRefine,
+            (true, true) => RefinementOutcome::KeptInput,
+            (true, false) if self.partly => RefinementOutcome::PartlyRefined,
+            (true, false) => RefinementOutcome::Refined,
+        }
     }
 
     /// Runs a stage. A result that fails its check is not taken, nor one that had to be smaller and is not.
@@ -63,13 +81,16 @@ impl<'a> Refinement<'a> {
         if let Err(wrong) = check::violations(&set.atlas, &atlas, context)? {
             let (id, what) = (sheet_info.id, check::told(&wrong));
             let Some(mended) = give_back(&input, &set.atlas, atlas, wrong)? else {
-                let message = format!("{name} was undone for atlas {id}: {what}");
+                let message = format!(
+                    "{name} was undone for atlas {id}, which is as it was before: its layout would be broken ({what}). The fault is Intarsia's, please report it with the model; another recipe or seed may do"
+                );
                 context.warn(Warning::new(STAGE_REVERTED, message));
+                self.partly = true;
                 self.ran(name, "reverted", figures);
                 return Ok(());
             };
             let message = format!(
-                "{} charts of atlas {id} lie as they were uploaded, packed with the rest: after {name} they would have been broken ({what})",
+                "{} charts of atlas {id} keep their uploaded shape, packed with the rest: {name} would have broken them ({what}). The result is whole; another seed may spare them",
                 mended.charts
             );
             context.warn(Warning::new(CHARTS_GIVEN_BACK, message));
@@ -79,9 +100,12 @@ impl<'a> Refinement<'a> {
         }
         let pixels = |a: &Atlas| a.sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
         if step.only_if_smaller && pixels(&atlas) >= pixels(&self.atlas) {
-            self.ran(name, "no_improvement", figures);
+            self.ran(name, NOT_SMALLER, figures);
             return Ok(());
         }
+        // A result that was not taken leaves the Atlas as it was, whatever it held back.
+        let part = |key: &str| figures.get(key).and_then(Value::as_f64).is_some_and(|part| part > 0.0);
+        self.partly |= !kept && LEFT_AS_UPLOADED.iter().any(|key| part(key));
         self.ran(name, stopped_by, figures);
         self.kept &= kept;
         self.atlas = atlas;

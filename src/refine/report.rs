@@ -14,8 +14,8 @@ use crate::atlas::{Atlas, Charts, Clusters, Topology, clusters};
 use crate::context::Context;
 use crate::error::Result;
 use crate::metrics::{
-    AtlasReport, ImageReport, InputReport, MeasureInputs, Measures, ModelInput, ModelReport, Report, SlotSize,
-    TextureReport, TextureSource, measure, roll_up, without_layout,
+    AtlasReport, ImageReport, InputReport, MeasureInputs, Measures, ModelInput, ModelReport, RefinementOutcome, Report,
+    SlotSize, TextureReport, TextureSource, measure, roll_up, without_layout,
 };
 use crate::texture::Slot;
 
@@ -96,9 +96,11 @@ pub(super) fn report(
     };
     let model = ModelReport { before: all(|a| &a.before), after: all(|a| &a.after) };
     let textures = refinements.iter().flat_map(|r| textures(loaded, r)).collect();
+    let outcome = refined.then(|| RefinementOutcome::of_job(refinements.iter().map(Refinement::outcome), loaded.left));
     Ok(Report {
         schema: Report::SCHEMA,
         intarsia: env!("CARGO_PKG_VERSION").to_owned(),
+        outcome,
         input: input_report(loaded),
         stages: refinements.iter().flat_map(|r| r.stages.clone()).collect(),
         atlases,
@@ -148,6 +150,7 @@ fn atlas_report(loaded: &Loaded, r: &Refinement<'_>, refined: bool) -> AtlasRepo
         materials: material_names(loaded, r.group),
         uv_sets: uv_sets(r),
         pages: r.atlas.sheets.len() as u64,
+        outcome: refined.then(|| r.outcome()),
         // What is only inspected is judged as it is.
         refined: r.atlas.has_layout(),
         importance: r.group.importance.as_ref().and_then(Importance::range),
@@ -182,7 +185,8 @@ fn textures(loaded: &Loaded, r: &Refinement<'_>) -> Vec<TextureReport> {
         // The first of the largest.
         let largest = sources.iter().reduce(|a, b| if pixels(b) > pixels(a) { b } else { a });
         let Some(largest) = largest.cloned() else { continue };
-        let f = &baked.fidelity;
+        let (f, layout) = (&baked.fidelity, &baked.layout_fidelity);
+        let spoilt = f != layout;
         let direction = slot.role.is_direction();
         for (page, file) in baked.files.iter().enumerate() {
             all.push(TextureReport {
@@ -201,9 +205,13 @@ fn textures(loaded: &Loaded, r: &Refinement<'_>) -> Vec<TextureReport> {
                 },
                 verbatim_texels: baked.verbatim_texels,
                 psnr_db: (!direction).then_some(f.psnr_db),
+                layout_psnr_db: (!direction && spoilt).then_some(layout.psnr_db),
                 exact: f.exact,
+                layout_exact: layout.exact,
                 angle_median_deg: f.angle_median_deg,
                 angle_p95_deg: f.angle_p95_deg,
+                layout_angle_median_deg: layout.angle_median_deg.filter(|_| spoilt),
+                layout_angle_p95_deg: layout.angle_p95_deg.filter(|_| spoilt),
                 max_error: f.max_error,
                 mip2_mean_error: f.mip2_mean_error,
                 mip2_max_error: f.mip2_max_error,

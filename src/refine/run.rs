@@ -13,7 +13,7 @@ use super::write::write;
 use crate::asset::{File, Limits};
 use crate::context::Context;
 use crate::error::{Failure, Result};
-use crate::metrics::{Unmet, unmet};
+use crate::metrics::{RefinementOutcome, Verdict, judge};
 
 /// What comes in.
 #[derive(Debug, Clone, Default)]
@@ -52,8 +52,10 @@ pub struct Outcome {
     pub artifacts: Vec<Artifact>,
     /// The report.
     pub report: Value,
-    /// Requirements that are not met.
-    pub failures: Vec<Unmet>,
+    /// What became of all that came in.
+    pub outcome: RefinementOutcome,
+    /// What it fails its job for.
+    pub verdict: Verdict,
 }
 
 /// Measures every atlas of the models as they are; nothing is written. Gives the report, where `before` and `after` are the same.
@@ -64,19 +66,19 @@ pub fn inspect(input: &Input, options: &Options, context: &Context) -> Result<Va
     Ok(inspect_and_judge(input, options, context)?.0)
 }
 
-/// [`inspect`], and the requirements that the model does not meet.
+/// [`inspect`], and the requirements and warnings that the model fails for.
 ///
 /// # Errors
 /// Those of the input, and `invalid_options` for an unknown path in `require`.
-pub fn inspect_and_judge(input: &Input, options: &Options, context: &Context) -> Result<(Value, Vec<Unmet>)> {
+pub fn inspect_and_judge(input: &Input, options: &Options, context: &Context) -> Result<(Value, Verdict)> {
     context.plan(&[("read", 2.0), ("measure", 1.0)]);
     context.enter(0);
     let loaded = load(input, options, false, context)?;
     context.enter(1);
     let report = report(&loaded, &loaded.untouched(), false, context)?;
-    let failures = unmet(&report, &options.require)?;
+    let verdict = judge(&report, &options.require, &options.strict, context.warning_counts())?;
     context.finish();
-    Ok((serde_json::to_value(&report).map_err(|e| Failure::internal(e.to_string()))?, failures))
+    Ok((serde_json::to_value(&report).map_err(|e| Failure::internal(e.to_string()))?, verdict))
 }
 
 /// Runs the recipe on the models. The texture sets of several models become one Atlas, those without images another.

@@ -5,9 +5,9 @@ use serde_json::{Map, Value};
 use super::importance::Importance;
 use super::options::Options;
 use crate::asset::TextureSet;
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, OverlapMode};
 use crate::context::Context;
-use crate::error::Result;
+use crate::error::{Result, Warning};
 use crate::packing::{Gutter, Pack};
 use crate::params::Params;
 
@@ -52,6 +52,22 @@ impl StageInput<'_> {
     pub fn corner_weights(&self) -> Option<Vec<[f64; 3]>> {
         self.importance.map(|importance| self.atlas.provenance.iter().map(|p| importance.at(p)).collect())
     }
+}
+
+/// The warning that charts share texels and are left out by a stage: `part` of the `what` (surface, UV area) is not `done` (cut, merged).
+pub(super) fn held_back(input: &StageInput<'_>, part: f64, what: &str, done: &str) -> Warning {
+    let (id, percent) = (input.sheet_info.id, 100.0 * part);
+    // Of very little is not told that it is nothing.
+    let percent = if percent < 0.05 { "less than 0.1".to_owned() } else { format!("{percent:.1}") };
+    let text = match input.options.atlas.overlaps {
+        OverlapMode::Stack => format!(
+            "{percent} % of the {what} of atlas {id} is not {done}: its charts show the same texels as others (mirrored or repeated parts) or lie on themselves, and keep their shape. Set atlas.overlaps to \"separate\" to give each texels of its own, which takes more of them"
+        ),
+        OverlapMode::Separate => format!(
+            "{percent} % of the {what} of atlas {id} is not {done}: its charts lie on themselves. Set box_cutter.remove_overlaps to true, or lay them out anew with the recipe unwrap"
+        ),
+    };
+    Warning::new("held_back", text)
 }
 
 /// What a stage may know of an Atlas' images: sizes and filtering, not contents.

@@ -13,8 +13,8 @@ use crate::error::{Code, Failure, Result};
 use crate::texture::Slot;
 use crate::texture::Texture;
 use crate::texture::{
-    Alpha, Bake, Direction, FIDELITY_SAMPLES, Fidelity, Format, Role, Source, Wrap, bake, decode, encode, fidelity,
-    is_lossy, neutral, texel, widened,
+    Alpha, Bake, Baked, Direction, FIDELITY_SAMPLES, Fidelity, Format, Role, Source, UploadedColors, Wrap, bake,
+    decode, encode, is_lossy, neutral, texel, widened,
 };
 
 /// Texels about each chart that are taken from the uploaded image: enough for mip levels 0 to 2.
@@ -31,8 +31,10 @@ pub struct BakedSlot {
     pub verbatim_texels: u64,
     /// Fraction of the 3D area that was resampled.
     pub resampled_area: f64,
-    /// Before against after, before encoding.
+    /// The uploaded files against the delivered ones.
     pub fidelity: Fidelity,
+    /// The same before encoding: what the layout alone cost.
+    pub layout_fidelity: Fidelity,
 }
 
 /// An encoded image.
@@ -197,12 +199,15 @@ fn bake_slot(
         });
     }
     let job = Bake { before: &set.atlas, after, reference: set.reference, slot, sources, bleed: BLEED };
-    let baked = bake(&job, context)?;
-    let (fidelity, written) = rayon::join(
-        || fidelity(&job, &baked, FIDELITY_SAMPLES, context),
+    let Baked { pages, verbatim_texels, resampled_area, .. } = bake(&job, context)?;
+    let (layout, written) = rayon::join(
         || {
-            baked
-                .pages
+            let uploaded = UploadedColors::new(&job, FIDELITY_SAMPLES, context)?;
+            let layout = uploaded.against(&pages, context)?;
+            Ok::<_, Failure>((uploaded, layout))
+        },
+        || {
+            pages
                 .iter()
                 .map(|page| {
                     let format = plan.of(page);
@@ -213,14 +218,29 @@ fn bake_slot(
         },
     );
     let written = written?;
-    plan.warn(&baked.pages, written.iter().map(|f| f.bytes.len() as u64).sum(), context);
-    Ok(BakedSlot {
-        slot: index,
-        files: written,
-        verbatim_texels: baked.verbatim_texels,
-        resampled_area: baked.resampled_area,
-        fidelity: fidelity?,
-    })
+    let (uploaded, layout_fidelity) = layout?;
+    plan.warn(&pages, written.iter().map(|f| f.bytes.len() as u64).sum(), context);
+    let fidelity = match as_delivered(pages, &written)? {
+        Some(pages) => uploaded.against(&pages, context)?,
+        None => layout_fidelity,
+    };
+    Ok(BakedSlot { slot: index, files: written, verbatim_texels, resampled_area, fidelity, layout_fidelity })
+}
+
+/// The pages as whoever opens their files sees them; none where these lose nothing. A page is dropped before its file is decoded.
+fn as_delivered(pages: Vec<DynamicImage>, files: &[BakedFile]) -> Result<Option<Vec<DynamicImage>>> {
+    if !files.iter().any(|file| is_lossy(&file.bytes)) {
+        return Ok(None);
+    }
+    let delivered = |(page, file): (DynamicImage, &BakedFile)| {
+        if !is_lossy(&file.bytes) {
+            return Ok(page);
+        }
+        let pixels = u64::from(page.width()) * u64::from(page.height());
+        drop(page);
+        decode(&file.bytes, pixels).map_err(|e| Failure::internal(format!("a texture that was written: {}", e.message)))
+    };
+    pages.into_iter().zip(files).map(delivered).collect::<Result<_>>().map(Some)
 }
 
 /// The file of a slot of a member.

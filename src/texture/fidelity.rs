@@ -46,34 +46,63 @@ pub struct Fidelity {
 /// Compares a baked slot with its source at `samples` points, spread over the 3D area of the faces that read it (stratified, from
 /// `context.seed`). Fails with `canceled`, or with `internal` when the parts do not belong together.
 pub fn fidelity(job: &Bake<'_>, baked: &Baked, samples: u32, context: &Context) -> Result<Fidelity> {
-    if baked.pages.len() != job.after.sheets.len() {
-        return Err(Failure::internal("a baked slot does not have the pages of its atlas"));
-    }
-    let maps = TexelMaps::new(job, &Charts::new(&Topology::new(job.after)))?;
-    let comparison = Comparison {
-        job,
-        pages: &baked.pages,
-        direction: job.slot.role.direction().filter(|_| job.channels() >= 3),
-        source_mips: job.sources.iter().map(|s| Mip::new(s.image)).collect(),
-        scales: job.sources.iter().map(source_scale).collect(),
-        page_mips: baked.pages.iter().map(Mip::new).collect(),
-        maps: &maps,
-    };
-    let points = scatter(job, &maps, samples, context.seed);
-    let chunks: Vec<Result<Sums>> = points
-        .par_chunks(CHUNK as usize)
-        .map(|points| {
-            context.check()?;
-            let mut sums = Sums::default();
-            points.iter().for_each(|p| comparison.add(p, &mut sums));
-            Ok(sums)
+    UploadedColors::new(job, samples, context)?.against(&baked.pages, context)
+}
+
+/// A slot as uploaded, and the points of the surface at which pages are held against it.
+pub struct UploadedColors<'a> {
+    job: &'a Bake<'a>,
+    maps: TexelMaps,
+    points: Vec<Point>,
+    direction: Option<Direction>,
+    /// By source.
+    mips: Vec<Mip>,
+    /// By source: its texels by reference texel.
+    scales: Vec<DVec2>,
+}
+
+impl<'a> UploadedColors<'a> {
+    /// `samples` points, spread as [`fidelity`] says.
+    ///
+    /// # Errors
+    /// `internal` when the parts do not belong together.
+    pub fn new(job: &'a Bake<'a>, samples: u32, context: &Context) -> Result<Self> {
+        let maps = TexelMaps::new(job, &Charts::new(&Topology::new(job.after)))?;
+        Ok(UploadedColors {
+            job,
+            points: scatter(job, &maps, samples, context.seed),
+            direction: job.slot.role.direction().filter(|_| job.channels() >= 3),
+            mips: job.sources.iter().map(|s| Mip::new(s.image)).collect(),
+            scales: job.sources.iter().map(source_scale).collect(),
+            maps,
         })
-        .collect();
-    let mut all = Sums::default();
-    for chunk in chunks {
-        all.join(chunk?);
     }
-    Ok(all.fidelity())
+
+    /// Fidelity of the slot's pages: as they were baked, or as their files decode.
+    ///
+    /// # Errors
+    /// `canceled`; `internal` where pages are missing.
+    pub fn against(&self, pages: &[DynamicImage], context: &Context) -> Result<Fidelity> {
+        if pages.len() != self.job.after.sheets.len() {
+            return Err(Failure::internal("a baked slot does not have the pages of its atlas"));
+        }
+        let comparison = Comparison { uploaded: self, pages, page_mips: pages.iter().map(Mip::new).collect() };
+        let chunks: Vec<Result<Sums>> = self
+            .points
+            .par_chunks(CHUNK as usize)
+            .map(|points| {
+                context.check()?;
+                let mut sums = Sums::default();
+                points.iter().for_each(|p| comparison.add(p, &mut sums));
+                Ok(sums)
+            })
+            .collect();
+        let mut all = Sums::default();
+        for chunk in chunks {
+            all.join(chunk?);
+        }
+        Ok(all.fidelity())
+    }
 }
 
 /// A point on the surface: a face and barycentric coordinates.
@@ -221,16 +250,11 @@ impl Texels for Mip {
     }
 }
 
+/// Pages against what was uploaded.
 struct Comparison<'a> {
-    job: &'a Bake<'a>,
+    uploaded: &'a UploadedColors<'a>,
     pages: &'a [DynamicImage],
-    direction: Option<Direction>,
-    /// By source.
-    source_mips: Vec<Mip>,
-    /// By source: its texels by reference texel.
-    scales: Vec<DVec2>,
     page_mips: Vec<Mip>,
-    maps: &'a TexelMaps,
 }
 
 #[derive(Default)]
@@ -247,8 +271,9 @@ struct Sums {
 
 impl Comparison<'_> {
     fn add(&self, point: &Point, sums: &mut Sums) {
-        let (job, f) = (self.job, point.face as usize);
-        let Some((map, source)) = self.maps.with_source(f) else { return };
+        let UploadedColors { job, maps, .. } = self.uploaded;
+        let f = point.face as usize;
+        let Some((map, source)) = maps.with_source(f) else { return };
         let read = &job.sources[source];
         let w = point.weights;
         let mix = |c: [DVec2; 3]| c[0] * w.x + c[1] * w.y + c[2] * w.z;
@@ -256,7 +281,7 @@ impl Comparison<'_> {
         let b = origin.barycentric[0] * w.x + origin.barycentric[1] * w.y + origin.barycentric[2] * w.z;
         let [p0, p1, p2] = job.before.uv_triangle(origin.source);
         let size = DVec2::new(f64::from(read.image.width()), f64::from(read.image.height()));
-        let old_uv = (p0 * b.x + p1 * b.y + p2 * b.z - read.place) * self.scales[source] / size;
+        let old_uv = (p0 * b.x + p1 * b.y + p2 * b.z - read.place) * self.uploaded.scales[source] / size;
         let page = usize::from(job.after.page[f]);
         let sheet = job.after.sheets[page].map(|n| f64::from(n.max(1)));
         let new_uv = mix(job.after.corners[f].map(|c| job.after.uv[c.index()])) / DVec2::from(sheet);
@@ -265,7 +290,7 @@ impl Comparison<'_> {
 
         let old = self.turned(read.image.bilinear(old_uv, read.wrap), map);
         let new = self.pages[page].bilinear(new_uv, clamp);
-        let mip_old = self.turned(self.source_mips[source].bilinear(old_uv, read.wrap), map);
+        let mip_old = self.turned(self.uploaded.mips[source].bilinear(old_uv, read.wrap), map);
         let mip_new = self.page_mips[page].bilinear(new_uv, clamp);
         let mut mip = 0.0f64;
         for c in 0..channels {
@@ -278,10 +303,10 @@ impl Comparison<'_> {
         sums.mip_sum += mip;
         sums.mip_max = sums.mip_max.max(mip);
         sums.samples += 1;
-        sums.exact += u32::from(self.is_exact(map, read, page, mix(self.maps.corners[f])));
+        sums.exact += u32::from(self.is_exact(map, read, page, mix(maps.corners[f])));
         let vector = |v: [f64; 4]| DVec3::new(v[0], v[1], v[2]) * 2.0 - 1.0;
         let (a, b) = (vector(old), vector(new));
-        match self.direction {
+        match self.uploaded.direction {
             Some(Direction::Normal) => sums.angles.push(a.cross(b).length().atan2(a.dot(b)).to_degrees()),
             // Without strength there is no direction; opposite ones are the same.
             Some(Direction::Anisotropy) if old[2] > 0.0 => {
@@ -294,7 +319,7 @@ impl Comparison<'_> {
 
     /// An encoded value of the uploaded image as it stands on the new sheet: directions turn.
     fn turned(&self, value: [f64; 4], map: &TexelMap) -> [f64; 4] {
-        if self.direction.is_none() {
+        if self.uploaded.direction.is_none() {
             return value;
         }
         let r: DMat2 = map.rotation();

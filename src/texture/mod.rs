@@ -23,7 +23,7 @@ pub use decode::{decode, header, is_lossy, probe};
 pub(crate) use encode::WEBP_SIDE;
 pub use encode::encode;
 pub(crate) use fidelity::mix;
-pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, fidelity};
+pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, UploadedColors, fidelity};
 pub use options::{Overflow, Size, Texture, TextureFormat};
 pub(crate) use pixels::from_samples;
 pub use pixels::{depth, neutral, texel, widened};

@@ -173,6 +173,23 @@ fn a_requirement_that_is_not_met_keeps_the_artifacts() {
 }
 
 #[test]
+fn a_warning_that_strict_names_fails_the_job_with_its_artifacts() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let bare = glb(r#"{"asset": {"version": "2.0"}}"#);
+    let form = |options: &Value| Form::default().file("model", "bare.glb", &bare).text("options", &options.to_string());
+    let job = server.wait(&server.accepted(&form(&json!({"recipe": "gate"}))));
+    assert_eq!((&job["state"], &job["error"]["code"]), (&json!("failed"), &json!("strict_warning")), "{job:#}");
+    assert_eq!((&job["error"]["pointer"], &job["outcome"]), (&json!("/strict"), &json!("nothing_to_refine")));
+    let href = artifact(&job, "model.glb")["href"].as_str().unwrap();
+    assert_eq!(server.get(href, &[]).status(), 200);
+    let job = server.wait(&server.accepted(&form(&json!({}))));
+    assert_eq!((&job["state"], &job["outcome"]), (&json!("succeeded"), &json!("nothing_to_refine")));
+    let job = server.wait(&server.accepted(&Form::sample()));
+    assert_eq!(job["outcome"], "refined");
+}
+
+#[test]
 fn a_requirement_that_the_recipe_is_bound_to_is_met() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);

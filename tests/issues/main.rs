@@ -2,7 +2,10 @@
 
 mod compressed_streams;
 mod extensions;
+mod fidelity;
 mod layouts;
+mod messages;
 mod names;
 mod numbers;
+mod outcomes;
 mod tiles;

@@ -36,7 +36,10 @@ pub(crate) fn read_libraries(
                 if !missing.insert(name) {
                     continue;
                 }
-                let message = format!("the material library {} was not uploaded", quote(name));
+                let message = format!(
+                    "the material library {} was not uploaded: faces have plain materials without it (send it along with the model, under that name)",
+                    quote(name)
+                );
                 warnings.push(Warning::new("missing_material_library", message));
                 continue;
             };
@@ -262,7 +265,10 @@ impl<'m> Materials<'m> {
                     .at(format!("/images/{index}"))
             })?;
         } else {
-            let message = format!("the image file {} was not uploaded", quote(&map.file));
+            let message = format!(
+                "the image file {} was not uploaded: send it along with the model, under that name",
+                quote(&map.file)
+            );
             warnings.push(Warning::new("missing_image", message).at(format!("/images/{index}")));
         }
         doc.images.push(file.map(|f| f.bytes.to_vec()));

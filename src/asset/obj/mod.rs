@@ -136,7 +136,10 @@ fn add_materials(
         let (library, mtl) = match found {
             Some((library, mtl)) => (library.as_str(), mtl),
             None => {
-                let message = format!("no material library defines {}", quote(name));
+                let message = format!(
+                    "no material library defines {}: its faces have a plain material (correct the name, or send the library along)",
+                    quote(name)
+                );
                 warnings.push(Warning::new("missing_material", message));
                 plain = Mtl { name: name.clone(), ..Mtl::default() };
                 (entry.path.as_str(), &plain)

@@ -10,6 +10,7 @@ mod scene;
 mod surface;
 
 use crate::error::{Code, Failure, Result};
+use crate::params::near_or_all;
 
 type Maker = fn() -> scene::Scene;
 
@@ -64,7 +65,7 @@ pub fn names() -> &'static [&'static str] {
 /// `invalid_options` when there is no sample of that name.
 pub fn sample(name: &str) -> Result<Vec<u8>> {
     let maker = SAMPLES.iter().find(|(n, _)| *n == name).map(|(_, maker)| maker).ok_or_else(|| {
-        Failure::new(Code::InvalidOptions, format!("there is no sample {name:?}: choose one of {}", names().join(", ")))
+        Failure::new(Code::InvalidOptions, format!("no sample is called `{name}`; {}", near_or_all(name, names())))
     })?;
     maker().document.to_glb()
 }

@@ -44,7 +44,7 @@ async fn claim(queue: &impl Queue, owner: &str) -> Option<Claim> {
 fn ended(state: JobState) -> AttemptEnd {
     let progress = Progress { fraction: 1.0, ..Progress::default() };
     let status = AttemptStatus { progress, ..AttemptStatus::default() };
-    AttemptEnd { state, error: None, artifacts: Vec::new(), status, timings: Vec::new() }
+    AttemptEnd { state, error: None, outcome: None, artifacts: Vec::new(), status, timings: Vec::new() }
 }
 
 fn entry(sha256: &str) -> ArtifactEntry {
@@ -270,7 +270,8 @@ async fn objects_live_as_long_as_somebody_needs_them(queue: &impl Queue) {
     queue.collect(None, &["1".into()], UNEXPECTED).await.unwrap();
     queue.collect(None, &["3".into()], &remove).await.unwrap();
     assert_eq!(std::mem::take(&mut *removed.lock().unwrap()), ["3"]);
-    let end = AttemptEnd { artifacts: vec![entry("2")], ..ended(JobState::Succeeded) };
+    let outcome = Some(RefinementOutcome::PartlyRefined);
+    let end = AttemptEnd { outcome, artifacts: vec![entry("2")], ..ended(JobState::Succeeded) };
     assert_eq!(queue.finish(&second, &end, Duration::ZERO).await, Ok(true));
     queue.collect(None, &[], UNEXPECTED).await.unwrap();
     // An attempt that died leaves what others need.
@@ -278,6 +279,7 @@ async fn objects_live_as_long_as_somebody_needs_them(queue: &impl Queue) {
     queue.collect(Some("a"), &[], &remove).await.unwrap();
     assert_eq!(std::mem::take(&mut *removed.lock().unwrap()), ["1"]);
     // A result goes when it expires.
+    assert_eq!(queue.get("b").await.unwrap().unwrap().outcome, Some(RefinementOutcome::PartlyRefined));
     assert_eq!(queue.expire_artifacts().await, Ok(vec!["b".to_owned()]));
     queue.collect(None, &[], &remove).await.unwrap();
     assert_eq!(*removed.lock().unwrap(), ["2"]);
@@ -288,7 +290,8 @@ async fn progress_stages_and_warnings_are_kept(queue: &impl Queue) {
     let claim = claim(queue, "w").await.unwrap();
     assert_eq!(claim.request.as_deref(), Some("r"));
     let stage = Progress { fraction: 0.25, stage: "read".into(), ..Progress::default() };
-    let now = AttemptStatus { progress: stage.clone(), stages: vec![stage], warnings: vec![Warning::new("c", "m")] };
+    let now =
+        AttemptStatus { progress: stage.clone(), stages: vec![stage], warnings: vec![Warning::new("kept_input", "m")] };
     queue.heartbeat(&claim, LEASE, &now).await.unwrap();
     let job = queue.get("j").await.unwrap().unwrap();
     assert_eq!((job.progress, job.stages, job.warnings), (now.progress, now.stages, now.warnings));

@@ -18,6 +18,7 @@ use super::files::Manifest;
 use super::record::{ArtifactEntry, Job, JobError, JobState, Timestamp};
 use crate::context::{Progress, Timing};
 use crate::error::{Code, Failure, Result, Warning};
+use crate::metrics::RefinementOutcome;
 
 /// Deaths of a job's own process before it is given up: what kills its process twice does so always. That the service itself dies counts
 /// against nobody.
@@ -217,6 +218,8 @@ pub struct AttemptEnd {
     pub state: JobState,
     /// Why it failed.
     pub error: Option<JobError>,
+    /// What became of what it was given, where it has a result.
+    pub outcome: Option<RefinementOutcome>,
     /// Its results.
     pub artifacts: Vec<ArtifactEntry>,
     /// Where it stood at the end.

@@ -199,7 +199,7 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
     let kept_as_they_are = best.as_ref().map_or(0, |b| b.kept.len());
     if kept_as_they_are > 0 {
         let text = format!(
-            "{kept_as_they_are} charts of atlas {} cannot be deformed without losing faces: they stay as they are",
+            "{kept_as_they_are} charts of atlas {} have faces so thin that deforming them would lose some: they keep their shape",
             sheet_info.id
         );
         context.warn(Warning::new("charts_kept", text));
@@ -233,7 +233,7 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
         && growth > most * (1.0 + 1e-9)
     {
         let text = format!(
-            "the seams of atlas {} are {growth:.3} times as long as before; at most {most} was asked for, and the bound on packing efficiency comes first",
+            "the seams of atlas {} are {growth:.3} times as long as before; at most {most} was asked for, and the bound on packing efficiency comes first (a smaller bounded.packing_efficiency leaves shorter seams)",
             sheet_info.id
         );
         context.warn(Warning::new("boundary_limit_missed", text));
@@ -250,6 +250,7 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
         ("opened_charts".to_owned(), json!(prepared.opened)),
         ("flattened_charts".to_owned(), json!(prepared.flattened)),
         ("rectangle_fallbacks".to_owned(), json!(best.fallbacks)),
+        ("charts_kept".to_owned(), json!(kept_as_they_are)),
     ]);
     let stopped_by = if bound_met { "done" } else { "bound_not_met" };
     Ok(finished(input, best.atlas, stopped_by, figures))

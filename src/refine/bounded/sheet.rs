@@ -360,7 +360,9 @@ fn sheet_size(input: &StageInput<'_>, size: DVec2, room: DVec2) -> (f64, [u32; 2
         return (scale, whole(sheet));
     }
     let (id, side) = (input.sheet_info.id, options.texture.max_size);
-    let text = format!("the charts of atlas {id} are scaled down to fit on a sheet of {side} texels");
+    let text = format!(
+        "the charts of atlas {id} are scaled down to fit on a sheet of {side} texels, and lose detail (a larger texture.max_size keeps it)"
+    );
     input.context.warn(Warning::new("scaled_to_fit", text));
     let scale = fitted([max; 2]).min(1.0);
     let sheet = (size * scale + room).to_array().map(|s| round.up(s).min(max));

@@ -31,11 +31,11 @@ use self::params::{BoxCutter, Cuts};
 use self::search::{Limits, SearchContext, SearchResult, SearchState, search};
 use super::options::Options;
 use super::pack::{finished, lay_out};
-use super::stage::{SheetInfo, StageInput, Staged};
+use super::stage::{self, SheetInfo, StageInput, Staged};
 use crate::atlas::OverlapMode;
 use crate::atlas::bvh::Bounds;
 use crate::atlas::{Atlas, ChartId, Charts, HalfEdge, Mesh, Topology, clusters};
-use crate::error::{Failure, Result, Warning};
+use crate::error::{Failure, Result};
 use crate::packing::Pitch;
 use crate::packing::{Pack, PackSearch, Rotation};
 
@@ -105,14 +105,7 @@ pub(crate) fn box_cutter(input: &StageInput<'_>, weights: Option<&[[f64; 3]]>, p
         ("held_back".to_owned(), json!(held / total.max(1e-300))),
     ]);
     if held > 0.0 {
-        context.warn(Warning::new(
-            "held_back",
-            format!(
-                "{:.1} % of the area of atlas {} is not cut: charts that share texels, or that overlap themselves",
-                100.0 * held / total,
-                sheet_info.id
-            ),
-        ));
+        context.warn(stage::held_back(input, held / total.max(1e-300), "layout", "cut"));
     }
     Ok(finished(input, laid, found.stopped_by, figures))
 }

@@ -1,8 +1,7 @@
 //! Charts that share texels on purpose are left alone.
 
 use crate::atlas::{Charts, OverlapMode, clusters};
-use crate::error::Warning;
-use crate::refine::stage::StageInput;
+use crate::refine::stage::{self, StageInput};
 
 /// Which charts may be merged.
 pub(super) struct Mergeable {
@@ -14,7 +13,7 @@ pub(super) struct Mergeable {
 impl Mergeable {
     /// Those that share no texels with others; a warning tells of the rest, where that is not what the user asked for.
     pub(super) fn new(input: &StageInput<'_>, charts: &Charts) -> Self {
-        let StageInput { atlas, sheet_info, options, context, .. } = *input;
+        let StageInput { atlas, options, context, .. } = *input;
         let together = clusters(atlas, charts, options.atlas.overlaps);
         let alone: Vec<bool> =
             charts.ids().map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1).collect();
@@ -28,12 +27,7 @@ impl Mergeable {
         }
         let held_back = held / f64::max(all, 1e-300);
         if held_back > 0.0 && options.atlas.overlaps == OverlapMode::Stack {
-            let text = format!(
-                "{:.1} % of the area of atlas {} is not merged: charts that share texels",
-                100.0 * held_back,
-                sheet_info.id
-            );
-            context.warn(Warning::new("held_back", text));
+            context.warn(stage::held_back(input, held_back, "layout", "merged"));
         }
         Mergeable { charts: alone, held_back }
     }

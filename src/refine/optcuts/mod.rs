@@ -30,7 +30,7 @@ pub(super) use self::pieces::seam_length;
 use self::pieces::{Piece, Strain, all_apart, divide, is_degenerate, surface_area};
 use self::solver::{Settings, Solution, solve};
 use super::pack::finished;
-use super::stage::{StageInput, Staged};
+use super::stage::{self, StageInput, Staged};
 use crate::atlas::overlap::overlaps_where;
 use crate::atlas::{Atlas, Charts, FaceId, Topology, orientation, penetration};
 use crate::error::{Code, Result, Warning};
@@ -60,7 +60,10 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
     let StageInput { atlas, sheet_info, context, .. } = *input;
     let kept = |stopped_by| Staged { atlas: atlas.clone(), stopped_by, figures: Map::new(), kept: true };
     if !atlas.has_layout() && params.start == Start::Uploaded {
-        let text = format!("atlas {} has no layout to start from: it stays as it is", sheet_info.id);
+        let text = format!(
+            "atlas {} has no texture coordinates to start from: it stays as it is (set optcuts.start to \"auto\", or take the recipe unwrap, to make some)",
+            sheet_info.id
+        );
         context.warn(Warning::new("no_layout", text));
         return Ok(kept("no_layout"));
     }
@@ -74,7 +77,10 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
     let fits = |faces: &[FaceId]| layout.as_ref().is_some_and(|l| !faces.iter().any(|f| l.unfit[f.index()]));
     let pieces = division.build(source, &fits);
     if pieces.is_empty() {
-        let text = format!("no face of atlas {} can be cut or flattened: it stays as it is", sheet_info.id);
+        let text = format!(
+            "no face of atlas {} can be cut or flattened: it stays as it is (its faces have no area, or share texels, which atlas.overlaps \"separate\" takes apart)",
+            sheet_info.id
+        );
         context.warn(Warning::new("nothing_to_cut", text));
         return Ok(kept("nothing_to_cut"));
     }
@@ -112,16 +118,11 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
         ("held_back".to_owned(), json!(held_back)),
     ]);
     if held_back > 0.0 {
-        let text = format!(
-            "{:.1} % of the surface of atlas {} is not cut: charts that share texels",
-            100.0 * held_back,
-            sheet_info.id
-        );
-        context.warn(Warning::new("held_back", text));
+        context.warn(stage::held_back(input, held_back, "surface", "cut"));
     }
     if figures["bound_met"] == false {
         let text = format!(
-            "the distortion of atlas {} is {:.4}, in some part above what was asked for",
+            "the distortion of atlas {} is {:.4}, in some part above what was asked for (more is tried with optcuts.quality \"best\"; a larger optcuts.max_distortion allows it)",
             sheet_info.id,
             figures["symmetric_dirichlet"].as_f64().unwrap_or(f64::NAN)
         );
@@ -235,7 +236,7 @@ fn solve_one(
         None => ("a chart for each face", all_apart(&piece.atlas)),
     };
     let text = format!(
-        "a piece of atlas {} with {} faces is given back as {what}: {wrong}",
+        "a connected part of atlas {} with {} faces could not be laid out ({wrong}): it comes as {what}, and the rest as asked for (optcuts.quality \"best\" tries more)",
         input.sheet_info.id,
         piece.faces.len()
     );
@@ -312,6 +313,7 @@ fn sum(outcomes: &[Outcome], params: &OptCuts) -> (Map<String, Value>, &'static 
         ("bound_met".to_owned(), json!(outcomes.iter().all(|o| o.solution.bound_met))),
         ("iterations".to_owned(), json!(outcomes.iter().map(|o| o.solution.iterations).sum::<u64>())),
         ("work".to_owned(), json!(outcomes.iter().map(|o| o.solution.work).sum::<u64>())),
+        ("pieces_reverted".to_owned(), json!(outcomes.iter().filter(|o| o.solution.stopped_by == "reverted").count())),
         ("polished_pieces".to_owned(), json!(outcomes.iter().filter(|o| o.piece.density.is_some()).count())),
     ]);
     (figures, most.map_or("done", |m| m.0))

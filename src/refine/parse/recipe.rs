@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-use crate::params::{Problem, child, keys, kind, nearest, short};
+use crate::params::{Problem, child, keys, kind, near_or_all, short};
 use crate::refine::erased::ErasedStage;
 use crate::refine::recipe::{MAX_STAGES, Recipe, preset, recipes};
 use crate::refine::table;
@@ -83,6 +83,6 @@ fn unknown_name(pointer: &str, name: &str) -> Option<Problem> {
     if names.contains(&name) {
         return None;
     }
-    let hint = nearest(name, &names).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
-    Some(Problem::new(pointer, format!("no recipe or stage is called `{}`{hint}", short(name))))
+    let text = format!("no recipe or stage is called `{}`; {}", short(name), near_or_all(name, &names));
+    Some(Problem::new(pointer, text))
 }

@@ -24,6 +24,7 @@ use crate::context::Progress;
 use crate::error::{Code, Failure, Result};
 use crate::jobs::files::disk;
 use crate::jobs::record::{Job, JobState, Timestamp};
+use crate::metrics::RefinementOutcome;
 
 /// The place of a job among those that wait: 1 is next. Small jobs do not wait for those that are not.
 fn position(small: u64) -> String {
@@ -316,7 +317,7 @@ impl Queue for Sqlite {
         let now = Timestamp::now();
         let done = sqlx::query(
             "UPDATE jobs SET state = ?3, finished_at = ?4, artifacts_expire_at = ?5, progress = ?6, timings = ?7, warnings = ?8,
-               error = ?9, artifacts = ?10, stages = ?11, artifact_bytes = ?12, owner = NULL, lease_until = NULL
+               error = ?9, artifacts = ?10, stages = ?11, artifact_bytes = ?12, outcome = ?13, owner = NULL, lease_until = NULL
              WHERE id = ?1 AND attempt = ?2 AND state = 'running' AND (cancel_requested = 0 OR ?3 = 'canceled')",
         )
         .bind(&claim.id)
@@ -331,6 +332,7 @@ impl Queue for Sqlite {
         .bind(json(&end.artifacts)?)
         .bind(json(&end.status.stages)?)
         .bind(integer(end.artifacts.iter().map(|a| a.bytes).sum()))
+        .bind(end.outcome.map(RefinementOutcome::as_str))
         .execute(self.pool()?)
         .await?;
         Ok(done.rows_affected() > 0)

@@ -29,6 +29,7 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
     let state: String = row.try_get("state")?;
     let position: Option<i64> = row.try_get("position")?;
     let error: Option<String> = row.try_get("error")?;
+    let outcome: Option<String> = row.try_get("outcome")?;
     let artifacts_expire_at = timestamp("artifacts_expire_at")?;
     let mut artifacts: Vec<ArtifactEntry> = parsed(row, "artifacts")?;
     if artifacts_expire_at.is_some_and(|at| at <= Timestamp::now()) {
@@ -40,6 +41,7 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
         recipe: options.get("recipe").cloned().unwrap_or_default(),
         metadata: options.get("metadata").cloned().unwrap_or_default(),
         options,
+        outcome: outcome.and_then(|name| serde_json::from_value(Value::String(name)).ok()),
         progress: parsed(row, "progress")?,
         queue_position: position.and_then(|p| u64::try_from(p).ok()),
         attempt: row.try_get("attempt")?,
