@@ -108,6 +108,11 @@ impl Atlas {
         !self.uv.is_empty() || self.corners.is_empty()
     }
 
+    /// Pixels of all sheets.
+    pub fn pixels(&self) -> u64 {
+        self.sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum()
+    }
+
     /// Number of faces.
     pub fn face_count(&self) -> usize {
         self.corners.len()

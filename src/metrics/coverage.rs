@@ -10,7 +10,7 @@ use crate::atlas::{Atlas, Charts, Clusters, coverage};
 pub(super) fn add(totals: &mut Totals, atlas: &Atlas, charts: &Charts, clusters: &Clusters) {
     totals.coverage = coverage(atlas, charts, clusters);
     totals.box_area = page_boxes(atlas).iter().map(|b| b.size().element_product()).sum();
-    totals.texels = atlas.sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum();
+    totals.texels = atlas.pixels();
     totals.texels_covered = (0..atlas.sheets.len()).map(|page| texels_covered(atlas, page)).sum();
 }
 

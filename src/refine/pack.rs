@@ -86,12 +86,11 @@ pub(super) fn lay_out(
 /// Whether the result has more pixels than the input and nothing else speaks for it.
 fn keeps_input(input: &StageInput<'_>, after: &Atlas) -> bool {
     let StageInput { atlas: before, sheet_info, options, .. } = *input;
-    let area = |sheets: &[[u32; 2]]| sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
     options.atlas.if_larger == IfLarger::KeepInput
         && options.texture.size == Size::KeepDensity
         && !sheet_info.is_virtual
         && !sheet_info.joined
-        && area(&after.sheets) > area(&before.sheets)
+        && after.pixels() > before.pixels()
         // Charts that were to be pulled apart need room of their own.
         && (options.atlas.overlaps == OverlapMode::Stack || overlapping_charts(before, &Charts::new(&Topology::new(before))).is_empty())
 }

@@ -98,8 +98,7 @@ impl<'a> Refinement<'a> {
             // Packed anew it may have become larger than it may be.
             Staged { atlas, stopped_by, figures, kept } = finished(&input, mended.atlas, stopped_by, figures);
         }
-        let pixels = |a: &Atlas| a.sheets.iter().map(|s| u64::from(s[0]) * u64::from(s[1])).sum::<u64>();
-        if step.only_if_smaller && pixels(&atlas) >= pixels(&self.atlas) {
+        if step.only_if_smaller && atlas.pixels() >= self.atlas.pixels() {
             self.ran(name, NOT_SMALLER, figures);
             return Ok(());
         }

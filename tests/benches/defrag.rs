@@ -30,7 +30,7 @@ fn main() {
         return;
     }
     println!("\n{:12} {:>7} {:>7} {:>8} {:>12}", "sample", "charts", "to", "s", "ms a chart");
-    for name in ["scan", "scan_2000", "scan_10000"] {
+    for name in ["scan", "scan_2000", "scan_10000", "scan_20000", "scan_50000"] {
         let Ok(glb) = sample(name) else { continue };
         let files = vec![File { path: "scan.glb".to_owned(), bytes: glb }];
         match defragment(files, &Defrag::default()) {

@@ -8,4 +8,5 @@ mod messages;
 mod names;
 mod numbers;
 mod outcomes;
+mod scans;
 mod tiles;

@@ -14,7 +14,7 @@ use crate::params::near_or_all;
 
 type Maker = fn() -> scene::Scene;
 
-const SAMPLES: [(&str, Maker); 13] = [
+const SAMPLES: [(&str, Maker); 15] = [
     ("textured", lumpy::textured),
     ("fragmented", lumpy::fragmented),
     ("overlapping", lumpy::overlapping),
@@ -28,6 +28,8 @@ const SAMPLES: [(&str, Maker); 13] = [
     ("scan", scan::few),
     ("scan_2000", scan::many),
     ("scan_10000", scan::very_many),
+    ("scan_20000", scan::torn_20000),
+    ("scan_50000", scan::torn_50000),
 ];
 
 /// The names that [`sample`] knows; the first is the one to start with.
@@ -60,6 +62,8 @@ pub fn names() -> &'static [&'static str] {
 /// * `scan`, `scan_2000`, `scan_10000`: some 500, 2,000 and 10,000 ragged charts of some 20 faces as photogrammetry makes
 ///   them, each as a camera sees it, with islands and holes; and what is wrong with scans: edges with three faces, faces wound
 ///   the other way round or without area, vertices in several copies.
+/// * `scan_20000`, `scan_50000`: as many charts, of some ten faces each, on a surface with slivers and with vertices at which sheets meet
+///   that are not neighbours.
 ///
 /// # Errors
 /// `invalid_options` when there is no sample of that name.

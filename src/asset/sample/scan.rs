@@ -44,12 +44,66 @@ pub(crate) fn very_many() -> Scene {
     scan("scan_10000", 130, 13.0, 4096)
 }
 
+/// Some 20,000 charts of some ten faces, torn.
+pub(crate) fn torn_20000() -> Scene {
+    torn("scan_20000", 130, 22.0, 4096)
+}
+
+/// Some 50,000.
+pub(crate) fn torn_50000() -> Scene {
+    torn("scan_50000", 206, 34.2, 4096)
+}
+
 /// A scan of 12 `squares`^2 faces on a sheet of `size`^2 texels; `patches` is how often the choice of views changes
 /// over a unit of length.
 fn scan(name: &str, squares: i32, patches: f64, size: usize) -> Scene {
     let mut random = Random(7);
     let mut surface = lumpy_ball(squares, false);
     roughen(&mut surface, squares, &mut random);
+    photographed(name, surface, patches, size, random)
+}
+
+/// One whose surface has slivers, and vertices at which sheets meet that are not neighbours.
+fn torn(name: &str, squares: i32, patches: f64, size: usize) -> Scene {
+    let mut random = Random(11);
+    let mut surface = lumpy_ball(squares, false);
+    roughen(&mut surface, squares, &mut random);
+    squeeze(&mut surface, &mut random);
+    pinch(&mut surface, &mut random);
+    photographed(name, surface, patches, size, random)
+}
+
+/// Slivers: vertices that have come next to a neighbour.
+fn squeeze(surface: &mut Surface, random: &mut Random) {
+    let faces = surface.triangles.len();
+    for _ in 0..faces / 60 {
+        let [a, b, _] = surface.triangles[(random.bits() % faces as u64) as usize];
+        surface.positions[a] = surface.positions[b].lerp(surface.positions[a], 0.02);
+    }
+}
+
+/// Vertices that become one with another, two edges off.
+fn pinch(surface: &mut Surface, random: &mut Random) {
+    let mut around: Vec<Vec<usize>> = vec![Vec::new(); surface.positions.len()];
+    for [a, b, c] in &surface.triangles {
+        for (v, others) in [(*a, [*b, *c]), (*b, [*c, *a]), (*c, [*a, *b])] {
+            around[v].extend(others);
+        }
+    }
+    let mut name: Vec<usize> = (0..around.len()).collect();
+    for _ in 0..around.len() / 200 {
+        let v = (random.bits() % around.len() as u64) as usize;
+        let second = around[v].iter().flat_map(|b| &around[*b]).find(|w| **w != v && !around[v].contains(w));
+        if let Some(w) = second.filter(|w| name[v] == v && name[**w] == **w) {
+            name[*w] = v;
+        }
+    }
+    surface.triangles.iter_mut().flatten().for_each(|v| *v = name[*v]);
+    surface.triangles.retain(|[a, b, c]| a != b && b != c && c != a);
+}
+
+/// The scan of a surface.
+fn photographed(name: &str, mut surface: Surface, patches: f64, size: usize, mut random: Random) -> Scene {
     puncture(&mut surface, &mut random);
     hang_fins(&mut surface, &mut random);
     let mut view = views(&surface, patches, &mut random);

@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 use super::*;
 use crate::asset::{Document, File, Limits, load, read, read_indices, read_vec2, read_vec3, read_vec4};
 use crate::asset::{MaterialIndex, ReadOptions};
-use crate::atlas::{Atlas, Charts, Loops, Topology};
+use crate::atlas::{Atlas, ChartId, Charts, FaceId, Loops, Topology, VertexId};
 use crate::context::Context;
 
 /// [`sample`], made once for all tests of this process.
@@ -139,12 +139,44 @@ fn atlas(name: &str) -> Atlas {
 
 #[test]
 fn scans_have_as_many_charts_as_they_say() {
-    for (name, count) in [("scan", 500), ("scan_2000", 2000), ("scan_10000", 10_000)] {
+    for (name, count, faces) in [
+        ("scan", 500, 18..23),
+        ("scan_2000", 2000, 18..23),
+        ("scan_10000", 10_000, 18..23),
+        ("scan_20000", 20_000, 9..12),
+    ] {
         let atlas = atlas(name);
         let charts = Charts::new(&Topology::new(&atlas)).len();
         assert!(charts.abs_diff(count) < count / 10, "{name}: {charts}");
-        assert!((18..23).contains(&(atlas.face_count() / charts)), "{name}: {}", atlas.face_count());
+        assert!(faces.contains(&(atlas.face_count() / charts)), "{name}: {}", atlas.face_count());
     }
+}
+
+/// A surface that is torn has what others have not: slivers, and vertices of many charts.
+#[test]
+fn a_torn_scan_has_slivers_and_vertices_of_many_charts() {
+    let share = |name: &str| {
+        let atlas = atlas(name);
+        let charts = Charts::new(&Topology::new(&atlas));
+        let is_sliver = |f: &FaceId| {
+            let [a, b, c] = atlas.triangle(*f);
+            let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+            (0.0..0.04).contains(&(2.0 * atlas.area(*f) / (longest * longest))) && atlas.area(*f) > 0.0
+        };
+        let slivers = atlas.faces().filter(is_sliver).count() as f64 / atlas.face_count() as f64;
+        let mut at: Vec<(VertexId, ChartId)> = Vec::new();
+        for f in atlas.faces() {
+            let own = charts.of_face[f.index()];
+            at.extend(atlas.surface.triangles[f.index()].iter().map(|v| (*v, own)));
+        }
+        at.sort_unstable();
+        at.dedup();
+        let crowded = at.chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() >= 6).count();
+        (slivers, crowded as f64 / atlas.face_count() as f64)
+    };
+    let ((smooth, few), (torn, many)) = (share("scan_2000"), share("scan_20000"));
+    assert!(torn > 3.0 * smooth && torn > 0.01, "{smooth} {torn}");
+    assert!(many > 10.0 * few, "{few} {many}");
 }
 
 /// What makes a scan hard to refine is there, and no more of it than scans have.

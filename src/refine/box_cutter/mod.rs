@@ -189,6 +189,9 @@ fn finish(
     let mut best: Option<(f64, &SearchState, Atlas)> = None;
     let mut work = 0;
     for (n, state) in finals.iter().enumerate() {
+        if best.is_some() && context.out_of_time() {
+            break;
+        }
         context.step(0.7 + 0.3 * n as f64 / finals.len() as f64, "packing the best")?;
         let (cut, origin) = start::apply(mesh, charts, &state.cuts, search_context.unit);
         let layout = start::layout(&cut, &origin, options.atlas.overlaps, state, &search_context.sheet.raster);

@@ -329,13 +329,25 @@ impl CutSearch<'_> {
     fn step(&mut self, front: &[SearchState]) -> Result<std::result::Result<Vec<SearchState>, &'static str>> {
         let search = self.context;
         let mut jobs: Vec<(usize, Candidate)> = Vec::new();
+        // When time is up, what was not looked at yet counts as of no use.
+        let is_late = || search.context.out_of_time();
         for (i, state) in front.iter().enumerate() {
+            search.context.check()?;
+            if is_late() {
+                break;
+            }
             jobs.extend(state.candidates(search, &mut self.random).into_iter().map(|c| (i, c)));
         }
-        search.context.check()?;
-        let executed: Vec<Option<SearchState>> = jobs.par_iter().map(|(i, c)| front[*i].execute(c, search)).collect();
+        let execute = |(i, c): &(usize, Candidate)| {
+            search.context.check()?;
+            Ok(if is_late() { None } else { front[*i].execute(c, search) })
+        };
+        let executed: Vec<Option<SearchState>> = jobs.par_iter().map(execute).collect::<Result<_>>()?;
         let mut cut: Vec<(usize, SearchState)> =
             executed.into_iter().enumerate().filter_map(|(j, s)| Some((j, s?))).collect();
+        if cut.is_empty() && is_late() {
+            return Ok(Err("time_limit"));
+        }
         let any = !cut.is_empty();
         let within = cut.len();
         cut.retain(|(_, s)| s.length <= search.limits.length);
@@ -351,6 +363,9 @@ impl CutSearch<'_> {
         cut.sort_by(|(_, a), (_, b)| a.length.total_cmp(&b.length).then(a.panels.len().cmp(&b.panels.len())));
         cut.dedup_by(|(_, a), (_, b)| b.is_like(a));
         let mut next = self.arranged(cut)?;
+        if is_late() {
+            return Ok(if next.is_empty() { Err("time_limit") } else { Ok(next.into_iter().map(|n| n.1).collect()) });
+        }
         if search.is_beam() {
             let more = together(&next, &jobs, front, search);
             next.extend(self.arranged(more)?);
@@ -365,6 +380,9 @@ impl CutSearch<'_> {
             .par_iter()
             .map(|(_, s)| {
                 search.context.check()?;
+                if search.context.out_of_time() {
+                    return Ok((None, 0));
+                }
                 Ok(search.sheet.arrange(&s.panels, Some(s.arrangement.layout.width)))
             })
             .collect::<Result<_>>()?;

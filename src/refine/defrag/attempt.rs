@@ -11,6 +11,7 @@ mod workspace;
 
 use glam::DVec2;
 
+pub(super) use self::overlaps::new_overlap;
 pub(super) use self::workspace::Workspace;
 use super::mesh::MergeMesh;
 use super::operation::{Operation, SeamPart};

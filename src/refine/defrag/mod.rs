@@ -35,8 +35,9 @@ use self::speculation::Speculation;
 use super::pack::{finished, largest_chart, lay_out};
 use super::stage::{StageInput, Staged};
 use crate::atlas::{Charts, Topology};
-use crate::error::Result;
+use crate::error::{Result, Warning};
 use crate::packing::Rotation;
+use crate::texture::Size;
 
 /// Merges charts and packs them.
 ///
@@ -62,6 +63,22 @@ pub(crate) fn defrag(input: &StageInput<'_>, params: &Defrag) -> Result<Staged> 
     let apart = placed.atlas.set_apart(&moved, f64::from(sheet_info.unit) * 64.0);
     let (laid, work) = lay_out(&StageInput { atlas: &apart, ..*input }, &[], &placed.free, 1.0)?;
     figures.insert("pack_work".to_owned(), json!(work));
+    // Large charts may pack worse than the small ones that they are made of.
+    if options.texture.size == Size::KeepDensity && !sheet_info.is_virtual && laid.pixels() > atlas.pixels() {
+        let (alone, work) = lay_out(input, &[], &[], 1.0)?;
+        if alone.pixels() <= atlas.pixels() {
+            let text = format!(
+                "merged charts would make the sheet of atlas {} larger than it was ({} pixels, now {}); packed as they are they do not ({}): they were not merged (set texture.size to \"keep_size\" to have them merged on a sheet of the same size)",
+                sheet_info.id,
+                laid.pixels(),
+                atlas.pixels(),
+                alone.pixels()
+            );
+            context.warn(Warning::new("packed_without_merging", text));
+            let figures = Map::from_iter([("work".to_owned(), json!(work))]);
+            return Ok(finished(input, alone, "packed_without_merging", figures));
+        }
+    }
     Ok(finished(input, laid, "done", figures))
 }
 

@@ -4,16 +4,22 @@
 //! surface that was only moved lies as it did in the input, and packing takes it from there.
 
 use glam::DVec2;
+use rayon::prelude::*;
 
-use super::mesh::{MergeChart, MergeMesh, mirror};
+use super::attempt::new_overlap;
+use super::mesh::{MergeChart, MergeMesh, mirror, sign};
 use super::sheet_limit::SheetLimit;
 use crate::atlas::bvh::Bounds;
+use crate::atlas::groups::sorted_unique;
 use crate::atlas::rigid::{Rigid, back, nearest_quarter_turn, on_multiples};
 use crate::atlas::{Atlas, triangle_area};
 use crate::refine::stage::SheetInfo;
 
 /// How far corners may lie from whole texels to be put there: resampling counts less than this as none.
 const WHOLE: f64 = 5e-4;
+
+/// How often single faces are left out that would overlap others there, before their chart is.
+const APART_ROUNDS: usize = 4;
 
 /// Charts grow by no more than this.
 const MOST_GROWTH: f64 = 1.25;
@@ -64,7 +70,7 @@ pub(super) fn place(
         motion[c] = back(&part.motion);
         part.faces.iter().for_each(|&f| exact[f as usize] = true);
     }
-    let mut at = positions(mesh, &motion, &exact, unit);
+    let mut at = positions_apart(mesh, &motion, &mut exact, unit);
     // Charts that were not touched, and those that are not finite, stay bit for bit.
     let touched: Vec<bool> = charts.iter().map(|c| c.parts.len() > 1 || !c.changes.is_empty()).collect();
     let free: Vec<bool> = free.iter().zip(&touched).map(|(free, touched)| *free && *touched).collect();
@@ -118,6 +124,62 @@ fn largest_moved_part(mesh: &MergeMesh, chart: &MergeChart, unit: f64) -> Option
         }
     }
     parts.into_iter().reduce(|a, b| if b.area > a.area { b } else { a })
+}
+
+/// [`positions`], with fewer `exact` faces where that brings together what merging held apart: faces that go to whole texels go there by a little, and
+/// those beside them in the chart, of other charts in the input, do not.
+fn positions_apart(mesh: &MergeMesh, motion: &[Rigid], exact: &mut [bool], unit: f64) -> Vec<Option<DVec2>> {
+    let mut at = positions(mesh, motion, exact, unit);
+    for round in 0..=APART_ROUNDS {
+        let found = brought_together(mesh, motion, &at);
+        if found.is_empty() {
+            break;
+        }
+        let leave = |exact: &mut [bool], f: u32| exact[f as usize] = false;
+        for f in found {
+            if round == APART_ROUNDS {
+                // As merging left it, the whole chart is in order.
+                mesh.chart(mesh.chart_of(f)).faces.iter().for_each(|f| leave(exact, *f));
+            } else {
+                mesh.corners(f).into_iter().flat_map(|u| mesh.star(u)).for_each(|f| leave(exact, f));
+            }
+        }
+        at = positions(mesh, motion, exact, unit);
+    }
+    at
+}
+
+/// Faces that overlap others of their chart or have turned over where these vertices lie, and did not where merging left them.
+fn brought_together(mesh: &MergeMesh, motion: &[Rigid], at: &[Option<DVec2>]) -> Vec<u32> {
+    let placed = |f: u32, back: &Rigid| {
+        let own = mesh.triangle(f);
+        let corners = mesh.corners(f);
+        [0, 1, 2].map(|k| at[corners[k] as usize].map_or(own[k], |p| back.transform_point2(p)))
+    };
+    let of_chart = |chart: &MergeChart| -> Vec<u32> {
+        let Some(&first) = chart.faces.first() else { return Vec::new() };
+        let back = back(&motion[mesh.chart_of(first) as usize]);
+        let mut found = Vec::new();
+        for &f in &chart.faces {
+            let (own, now) = (mesh.triangle(f), placed(f, &back));
+            if own.iter().zip(&now).all(|(p, q)| p.distance(*q) <= mesh.tolerance) {
+                continue;
+            }
+            if sign(&now) != sign(&own) {
+                found.push(f);
+            }
+            let bounds = Bounds::of(&now);
+            let near = Bounds { min: bounds.min - 2.0 * WHOLE, max: bounds.max + 2.0 * WHOLE };
+            chart.grid.query(&near, &chart.faces, |g| {
+                if g != f && new_overlap(mesh, f, &now, g, &placed(g, &back)) {
+                    found.extend([f, g]);
+                }
+                true
+            });
+        }
+        found
+    };
+    sorted_unique(mesh.charts().par_iter().flat_map_iter(of_chart).collect::<Vec<u32>>())
 }
 
 /// By UV vertex: where it lies once its chart moved by `motion`. Vertices of faces that keep their texels lie exactly where they did, by
@@ -203,4 +265,41 @@ fn on_grid(a: &Rigid, b: &Rigid, rest: &[DVec2; 3], unit: f64) -> bool {
 /// The motion by quarter turns and whole units that is nearest.
 fn whole(motion: &Rigid, unit: f64) -> Rigid {
     on_multiples(nearest_quarter_turn(motion), motion.translation, unit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::atlas::testing::{cut_open, sheet};
+    use crate::atlas::{Charts, HalfEdge, Topology};
+
+    #[test]
+    fn whole_texels_do_not_close_a_slit_that_is_narrower_than_they_move() {
+        let whole = sheet(2, 2, DVec2::ZERO);
+        let at = |h: HalfEdge| whole.uv[whole.corners[h.face().index()][h.corner()].index()];
+        let is_slit = |h: &HalfEdge| [at(*h), at(h.next())].iter().all(|p| p.x == 1.0 && p.y >= 1.0);
+        let slit: Vec<HalfEdge> = Topology::new(&whole).half_edges().filter(is_slit).collect();
+        let mut open = cut_open(&whole, &slit);
+        // The corner on the right of the slit is a little apart from that on the left.
+        let top: Vec<usize> = (0..open.uv.len()).filter(|u| open.uv[*u] == DVec2::new(1.0, 2.0)).collect();
+        assert_eq!(top.len(), 2);
+        let middle = |u: usize| {
+            let own = open.faces().filter(|f| open.corners[f.index()].iter().any(|c| c.index() == u));
+            own.map(|f| open.uv_triangle(f).iter().map(|p| p.x).sum::<f64>()).sum::<f64>()
+        };
+        let (left, right) = if middle(top[0]) < middle(top[1]) { (top[0], top[1]) } else { (top[1], top[0]) };
+        open.uv[right].x += 1e-5;
+        let charts = Charts::new(&Topology::new(&open));
+        let mesh = MergeMesh::new(&open, &charts, &[true], true);
+        let motion = [Rigid::IDENTITY];
+        let mut to: Vec<Option<DVec2>> = (0..mesh.vertex_count()).map(|u| Some(mesh.uv(u as u32))).collect();
+        assert!(brought_together(&mesh, &motion, &to).is_empty());
+        to[left].as_mut().unwrap().x += 0.8 * WHOLE;
+        let found = brought_together(&mesh, &motion, &to);
+        assert!(!found.is_empty());
+        // The faces on both sides are named, and with them whatever goes to whole texels there.
+        for side in [left, right] {
+            assert!(found.iter().any(|f| mesh.corners(*f).contains(&(side as u32))), "{found:?}");
+        }
+    }
 }

@@ -103,7 +103,13 @@ impl MergeTrial<'_> {
 }
 
 /// Whether two faces overlap that did not in the input, or more than there.
-fn new_overlap(mesh: &MergeMesh, f: u32, at: &[DVec2; 3], g: u32, there: &[DVec2; 3]) -> bool {
+pub(in crate::refine::defrag) fn new_overlap(
+    mesh: &MergeMesh,
+    f: u32,
+    at: &[DVec2; 3],
+    g: u32,
+    there: &[DVec2; 3],
+) -> bool {
     let slack = 5.0 * mesh.tolerance;
     if !triangles_overlap(at, there) {
         return false;
