@@ -12,14 +12,7 @@ struct Foreign {
 
 const EXPORT: &str = "export it as .glb from the program that made it";
 
-const FOREIGN: [Foreign; 13] = [
-    Foreign {
-        endings: &["cmpt"],
-        magic: b"cmpt",
-        what: "a tile composed of others",
-        advice: "give the tiles in it one by one (3d-tiles-tools takes them out)",
-    },
-    Foreign { endings: &["pnts"], magic: b"pnts", what: "a point cloud, which has no texture", advice: "give a mesh" },
+const FOREIGN: [Foreign; 11] = [
     Foreign { endings: &["fbx"], magic: b"Kaydara FBX", what: "FBX", advice: EXPORT },
     Foreign { endings: &["blend"], magic: b"BLENDER", what: "a Blender file", advice: EXPORT },
     Foreign { endings: &["ply"], magic: b"ply", what: "PLY", advice: EXPORT },
@@ -67,7 +60,7 @@ mod tests {
 
     #[test]
     fn first_bytes_tell_more_than_a_name() {
-        assert!(foreign("a.bin", b"cmpt\x01").unwrap().contains("3d-tiles-tools"));
+        assert!(foreign("a.bin", b"BLENDER-v3").unwrap().starts_with("a Blender file"));
         assert!(foreign("A.FBX", b"; FBX 7").unwrap().starts_with("FBX: export"));
         assert_eq!(foreign("a.txt", b"hello"), None);
     }

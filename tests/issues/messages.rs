@@ -97,9 +97,10 @@ fn nothing_to_refine_says_what_to_do() {
 /// `no input is a model`, for a tile that holds one.
 #[test]
 fn a_file_that_is_not_read_is_told_what_it_is() {
-    for (name, bytes, what) in
-        [("a.cmpt", &b"cmpt\x01\0\0\0"[..], "composed"), ("a.fbx", b"Kaydara FBX Binary  \0", "export it as .glb")]
-    {
+    for (name, bytes, what) in [
+        ("a.ply", &b"ply\nformat ascii 1.0\n"[..], "PLY: export it"),
+        ("a.fbx", b"Kaydara FBX Binary  \0", "export it as .glb"),
+    ] {
         let files = vec![File { path: name.to_owned(), bytes: bytes.to_vec() }];
         let input = Input { models: vec![files], ..Input::default() };
         let failure = refine(&input, &parse::options(&json!({})).unwrap(), &Context::silent()).unwrap_err();
