@@ -26,6 +26,9 @@ pub struct PrimitiveRef {
     pub animated: bool,
     /// The glTF vertex of each corner of each face, as the index buffer names it.
     pub corners: Vec<[u32; 3]>,
+    /// By face, whether its TANGENT is far from perpendicular to its NORMAL; empty where none is. Such tangents can be turned by a half, and
+    /// by nothing else, so that texels of a normal map mean what they did.
+    pub oblique_tangents: Vec<bool>,
 }
 
 /// A texture set: one Atlas, its primitives and its images.

@@ -3,3 +3,4 @@
 mod compressed_streams;
 mod extensions;
 mod layouts;
+mod tangents;

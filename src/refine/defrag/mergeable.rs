@@ -2,7 +2,7 @@
 
 use crate::atlas::{Charts, OverlapMode, clusters};
 use crate::error::Warning;
-use crate::refine::stage::StageInput;
+use crate::refine::stage::{HeldBack, StageInput};
 
 /// Which charts may be merged.
 pub(super) struct Mergeable {
@@ -16,25 +16,22 @@ impl Mergeable {
     pub(super) fn new(input: &StageInput<'_>, charts: &Charts) -> Self {
         let StageInput { atlas, sheet_info, options, context, .. } = *input;
         let together = clusters(atlas, charts, options.atlas.overlaps);
-        let alone: Vec<bool> =
-            charts.ids().map(|c| together.charts[together.of_chart[c.index()] as usize].len() == 1).collect();
+        let HeldBack { charts: held_charts, reason } = input.held_back(charts, &together);
         let (mut held, mut all) = (0.0, 0.0);
         for face in atlas.faces() {
             let area = atlas.uv_area(face).abs();
             all += area;
-            if !alone[charts.of_face[face.index()].index()] {
+            if held_charts[charts.of_face[face.index()].index()] {
                 held += area;
             }
         }
         let held_back = held / f64::max(all, 1e-300);
-        if held_back > 0.0 && options.atlas.overlaps == OverlapMode::Stack {
-            let text = format!(
-                "{:.1} % of the area of atlas {} is not merged: charts that share texels",
-                100.0 * held_back,
-                sheet_info.id
-            );
+        let asked_for = options.atlas.overlaps == OverlapMode::Separate && sheet_info.half_turns.is_empty();
+        if held_back > 0.0 && !asked_for {
+            let text =
+                format!("{:.1} % of the area of atlas {} is not merged: {reason}", 100.0 * held_back, sheet_info.id);
             context.warn(Warning::new("held_back", text));
         }
-        Mergeable { charts: alone, held_back }
+        Mergeable { charts: held_charts.into_iter().map(|held| !held).collect(), held_back }
     }
 }

@@ -52,6 +52,7 @@ fn sheet_info() -> SheetInfo {
         animated: false,
         directions: false,
         joined: false,
+        half_turns: Vec::new(),
     }
 }
 

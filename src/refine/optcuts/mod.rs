@@ -65,7 +65,7 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
         return Ok(kept("no_layout"));
     }
     context.step(0.0, "dividing the surface")?;
-    let held = uploaded::held_back(input, params);
+    let (held, reason) = uploaded::held_back(input, params);
     let degenerate: Vec<bool> = atlas.faces().map(|f| is_degenerate(atlas.triangle(f))).collect();
     let wanted: Vec<bool> = held.iter().zip(&degenerate).map(|(held, flat)| !held && !flat).collect();
     let division = divide(atlas, &wanted);
@@ -112,11 +112,7 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
         ("held_back".to_owned(), json!(held_back)),
     ]);
     if held_back > 0.0 {
-        let text = format!(
-            "{:.1} % of the surface of atlas {} is not cut: charts that share texels",
-            100.0 * held_back,
-            sheet_info.id
-        );
+        let text = format!("{:.1} % of the surface of atlas {} is not cut: {reason}", 100.0 * held_back, sheet_info.id);
         context.warn(Warning::new("held_back", text));
     }
     if figures["bound_met"] == false {

@@ -8,7 +8,7 @@ use crate::atlas::overlap::overlaps_in_blocks;
 use crate::atlas::{Atlas, Charts, FaceId, Topology, UvId, clusters, orientation};
 use crate::error::Result;
 use crate::refine::box_cutter::overlap::remove_overlaps;
-use crate::refine::stage::StageInput;
+use crate::refine::stage::{HeldBack, StageInput};
 
 /// Pair tests per face in the search for an overlap.
 const TESTS_PER_FACE: usize = 20_000;
@@ -24,15 +24,16 @@ pub(super) struct StartLayout {
     pub repaired: usize,
 }
 
-/// By face: whether its chart shares texels with others on purpose, and stays as it is.
-pub(super) fn held_back(input: &StageInput<'_>, params: &OptCuts) -> Vec<bool> {
+/// By face: whether its chart stays as it is; and why charts do.
+pub(super) fn held_back(input: &StageInput<'_>, params: &OptCuts) -> (Vec<bool>, &'static str) {
     let atlas = input.atlas;
     if !atlas.has_layout() || params.start == Start::Fresh {
-        return vec![false; atlas.face_count()];
+        return (vec![false; atlas.face_count()], "");
     }
     let charts = Charts::new(&Topology::new(atlas));
     let together = clusters(atlas, &charts, input.options.atlas.overlaps);
-    charts.of_face.iter().map(|c| together.charts[together.of_chart[c.index()] as usize].len() > 1).collect()
+    let HeldBack { charts: held, reason } = input.held_back(&charts, &together);
+    (charts.of_face.iter().map(|c| held[c.index()]).collect(), reason)
 }
 
 /// The layout to start from; none where there is none, or where it is not wanted. Faces that are not `wanted` do not count.
