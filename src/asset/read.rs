@@ -1,5 +1,8 @@
 //! From a document to its texture sets.
 
+use glam::DVec3;
+
+use super::accessor::{read_vec3, read_vec4};
 use super::geometry::{GeometryReader, PrimitiveGeometry, weld};
 use super::material_index::MaterialIndex;
 use super::precision::{bounding_box, is_far};
@@ -175,6 +178,7 @@ fn texture_set(
             first_face,
             face_count,
             along_edges: is_animated(value) || lies_far(&geometry),
+            oblique_tangents: oblique_tangents(doc, value, &geometry.corners),
             corners: geometry.corners,
             held: geometry.held,
         });
@@ -208,6 +212,28 @@ fn lies_far(geometry: &PrimitiveGeometry) -> bool {
 fn is_animated(primitive: &serde_json::Value) -> bool {
     let morphed = primitive["targets"].as_array().is_some_and(|t| !t.is_empty());
     morphed || primitive["attributes"].get("JOINTS_0").is_some()
+}
+
+/// Sine of the angle by which a tangent may miss being perpendicular to its normal. A world-space normal is off by no more where a chart
+/// is turned by a quarter, and by a third of it where the normal map is as steep as most are.
+const OBLIQUE: f64 = 0.02;
+
+/// By face, whether a tangent of it is far from perpendicular to its normal; empty where none is, or where one of the two is missing or
+/// cannot be read: whoever writes the primitive says what is wrong with it.
+fn oblique_tangents(doc: &Document, primitive: &serde_json::Value, corners: &[[u32; 3]]) -> Vec<bool> {
+    let accessor = |name: &str| primitive["attributes"].get(name)?.as_u64().and_then(|a| usize::try_from(a).ok());
+    let (Some(normal), Some(tangent)) = (accessor("NORMAL"), accessor("TANGENT")) else { return Vec::new() };
+    let (Ok(normals), Ok(tangents)) = (read_vec3(doc, normal), read_vec4(doc, tangent)) else { return Vec::new() };
+    let unit = |v: [f32; 3]| DVec3::from(v.map(f64::from)).normalize_or_zero();
+    let is_oblique = |(normal, [x, y, z, _]): (&[f32; 3], &[f32; 4])| {
+        let sine = unit(*normal).dot(unit([*x, *y, *z]));
+        sine.abs() > OBLIQUE
+    };
+    let oblique: Vec<bool> = normals.iter().zip(&tangents).map(is_oblique).collect();
+    if !oblique.contains(&true) {
+        return Vec::new();
+    }
+    corners.iter().map(|face| face.iter().any(|v| oblique.get(*v as usize).is_some_and(|o| *o))).collect()
 }
 
 /// The materials' names, each once, or the model's.

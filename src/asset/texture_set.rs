@@ -29,6 +29,9 @@ pub struct PrimitiveRef {
     /// Triangles that are no faces of the Atlas, because a number of theirs is not finite: of each its glTF vertices, and how many of
     /// `corners` stand before it.
     pub held: Vec<([u32; 3], usize)>,
+    /// By face, whether its TANGENT is far from perpendicular to its NORMAL; empty where none is. Such tangents can be turned by a half, and
+    /// by nothing else, so that texels of a normal map mean what they did.
+    pub oblique_tangents: Vec<bool>,
 }
 
 /// A texture set: one Atlas, its primitives and its images.

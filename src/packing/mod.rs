@@ -34,7 +34,7 @@ pub(crate) use mask::Mask;
 pub(crate) use occupancy::{Pitch, Probe};
 pub use options::{Gutter, Pack, PackSearch, Rotation};
 pub use orientation::Orientation;
-pub(crate) use orientation::l1_norm;
+pub(crate) use orientation::{l1_norm, quarter_turns};
 pub(crate) use outline::fill;
 pub(crate) use random::Random;
 pub(crate) use rectangles::{RectanglePacker, RectangleRequest};
@@ -54,6 +54,8 @@ pub struct Piece {
     /// Whether its texels are resampled anyway, so that it may be turned by any angle even where the request allows quarter turns only;
     /// where no rotation is allowed it is not turned either.
     pub free: bool,
+    /// Whether it may be turned by a half only, and not at all where no rotation is allowed.
+    pub half_turns: bool,
 }
 
 impl Piece {

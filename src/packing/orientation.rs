@@ -34,12 +34,12 @@ const FREE_ANGLES: u32 = 3;
 
 /// The orientations to try for a piece: quarter turns, and where any rotation is allowed or the piece is free its own best axes (Box
 /// Cutter, 3.2.1: least L1 norm of the boundary's directions) and `more` angles, evenly spread, and where that is more than one, the
-/// tightest box and upright as it is.
+/// tightest box and upright as it is. A piece that half turns must do for has these alone.
 pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, more: u32) -> Vec<Orientation> {
     use std::f64::consts::FRAC_PI_2;
     let mut within = vec![0.0];
     let free = piece.free && rotation == Rotation::Quarter;
-    if rotation == Rotation::Any || free {
+    if !piece.half_turns && (rotation == Rotation::Any || free) {
         let axes = best_axes(piece);
         within = vec![axes];
         let more = if free { more.min(FREE_ANGLES) } else { more };
@@ -48,16 +48,25 @@ pub(crate) fn orientations(piece: &Piece, rotation: Rotation, mirror: bool, more
         }
         within.extend((1..=more).map(|k| (axes + FRAC_PI_2 * f64::from(k) / f64::from(more + 1)) % FRAC_PI_2));
     }
-    let quarters = if rotation == Rotation::None { 1 } else { 4 };
+    let quarters = quarter_turns(rotation, piece.half_turns);
     let mut all = Vec::new();
     for mirror in if mirror { &[false, true][..] } else { &[false] } {
         for angle in &within {
-            for q in 0..quarters {
-                all.push(Orientation { angle: angle + FRAC_PI_2 * f64::from(q), mirror: *mirror });
+            for q in quarters {
+                all.push(Orientation { angle: angle + FRAC_PI_2 * f64::from(*q), mirror: *mirror });
             }
         }
     }
     all
+}
+
+/// The quarter turns that are allowed.
+pub(crate) fn quarter_turns(rotation: Rotation, half_turns: bool) -> &'static [u8] {
+    match rotation {
+        Rotation::None => &[0],
+        _ if half_turns => &[0, 2],
+        _ => &[0, 1, 2, 3],
+    }
 }
 
 /// The angle in 0..pi/2 that turns the piece's border as far as possible along the axes: the border edges' mean
@@ -165,6 +174,19 @@ mod tests {
         assert!(turned.iter().any(|o| o.angle == axes) && !turned.iter().all(quarter));
         assert!(turned.len() < of(&free, Rotation::Any).len());
         assert_eq!(of(&free, Rotation::None), vec![Orientation { angle: 0.0, mirror: false }]);
+    }
+
+    #[test]
+    fn what_half_turns_must_do_for_lies_along_its_own_axes() {
+        let piece = Piece { half_turns: true, free: true, ..Piece::default() };
+        for rotation in [Rotation::Quarter, Rotation::Any] {
+            for o in orientations(&piece, rotation, true, 11) {
+                let m = o.matrix();
+                assert!(m.x_axis.y == 0.0 && m.y_axis.x == 0.0, "{o:?}");
+            }
+            assert_eq!(orientations(&piece, rotation, true, 11).len(), 4);
+        }
+        assert_eq!(orientations(&piece, Rotation::None, false, 11).len(), 1);
     }
 
     #[test]

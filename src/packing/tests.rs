@@ -24,7 +24,7 @@ fn stars(seed: u64, n: usize) -> Vec<Piece> {
         let next = |k: usize| boundary[(k + 1) % points];
         let triangles: Vec<[DVec2; 3]> = (0..points).map(|k| [DVec2::ZERO, boundary[k], next(k)]).collect();
         let area = triangles.iter().map(|t| 0.5 * (t[1] - t[0]).perp_dot(t[2] - t[0]).abs()).sum();
-        Piece { border: (0..points).map(|k| next(k) - boundary[k]).collect(), triangles, area, free: false }
+        Piece { border: (0..points).map(|k| next(k) - boundary[k]).collect(), triangles, area, ..Piece::default() }
     };
     (0..n).map(star).collect()
 }

@@ -70,13 +70,20 @@ pub(super) fn lay_out(
     free: &[bool],
     effort: f64,
 ) -> Result<(Atlas, u64)> {
-    let StageInput { atlas, options, context, .. } = *input;
+    let StageInput { atlas, sheet_info, options, context, .. } = *input;
     let topology = Topology::new(atlas);
     let charts = Charts::new(&topology);
     let together = clusters(atlas, &charts, options.atlas.overlaps);
     context.step(0.02, "outlining charts")?;
     let is_free = |own: &[ChartId]| own.iter().all(|c| free.get(c.index()).is_some_and(|free| *free));
-    let outlined = |own: &Vec<ChartId>| Piece { free: is_free(own), ..piece(atlas, &topology, &charts, own) };
+    let by_half = |own: &[ChartId]| {
+        sheet_info.turns_by_half(atlas, own.iter().flat_map(|c| charts.faces[c.index()].iter().copied()))
+    };
+    let outlined = |own: &Vec<ChartId>| Piece {
+        free: is_free(own),
+        half_turns: by_half(own),
+        ..piece(atlas, &topology, &charts, own)
+    };
     let pieces: Vec<Piece> = together.charts.par_iter().map(outlined).collect();
     let starts = if starts.iter().all(|s| s.places.len() == pieces.len()) { starts } else { &[] };
     let packed = place(&pieces, input, starts, effort)?;

@@ -5,11 +5,12 @@ use serde_json::{Map, Value};
 use super::importance::Importance;
 use super::options::Options;
 use crate::asset::TextureSet;
-use crate::atlas::{Atlas, OverlapMode};
+use crate::atlas::{Atlas, ChartId, Charts, Clusters, FaceId, OverlapMode};
 use crate::context::Context;
 use crate::error::{Result, Warning};
 use crate::packing::{Gutter, Pack};
 use crate::params::Params;
+use crate::texture::Slot;
 
 /// An algorithm from Atlas to Atlas. It is its parameters; all that is known of it elsewhere (options, recipes, command line, HTTP,
 /// progress, report) follows from this and from its line in the table of stages.
@@ -48,23 +49,36 @@ pub struct StageInput<'a> {
 }
 
 impl StageInput<'_> {
+    /// Charts of the input that share texels on purpose, as `together` has them, or that must not be turned but by a half.
+    pub fn held_back(&self, charts: &Charts, together: &Clusters) -> Vec<bool> {
+        let by_half = |c: ChartId| self.sheet_info.turns_by_half(self.atlas, charts.faces[c.index()].iter().copied());
+        let is_shared = |c: ChartId| together.charts[together.of_chart[c.index()] as usize].len() > 1;
+        charts.ids().map(|c| is_shared(c) || by_half(c)).collect()
+    }
+
     /// The weights at the corners of each face, where the options give weights.
     pub fn corner_weights(&self) -> Option<Vec<[f64; 3]>> {
         self.importance.map(|importance| self.atlas.provenance.iter().map(|p| importance.at(p)).collect())
     }
 }
 
-/// The warning that charts share texels and are left out by a stage: `part` of the `what` (surface, UV area) is not `done` (cut, merged).
-pub(super) fn held_back(input: &StageInput<'_>, part: f64, what: &str, done: &str) -> Warning {
+/// The warning that charts are left out by a stage: `part` of the `what` (surface, UV area) is not `done` (cut, merged).
+pub(super) fn held_back_warning(input: &StageInput<'_>, part: f64, what: &str, done: &str) -> Warning {
     let (id, percent) = (input.sheet_info.id, 100.0 * part);
     // Of very little is not told that it is nothing.
     let percent = if percent < 0.05 { "less than 0.1".to_owned() } else { format!("{percent:.1}") };
+    let tangents = match input.sheet_info.half_turns.is_empty() {
+        true => "",
+        false => {
+            ", or have tangents that are not perpendicular to their normals (compute them anew, by MikkTSpace, to have these charts refined too)"
+        }
+    };
     let text = match input.options.atlas.overlaps {
         OverlapMode::Stack => format!(
-            "{percent} % of the {what} of atlas {id} is not {done}: its charts show the same texels as others (mirrored or repeated parts) or lie on themselves, and keep their shape. Set atlas.overlaps to \"separate\" to give each texels of its own, which takes more of them"
+            "{percent} % of the {what} of atlas {id} is not {done}: its charts show the same texels as others (mirrored or repeated parts) or lie on themselves{tangents}, and keep their shape. Set atlas.overlaps to \"separate\" to give each texels of its own, which takes more of them"
         ),
         OverlapMode::Separate => format!(
-            "{percent} % of the {what} of atlas {id} is not {done}: its charts lie on themselves. Set box_cutter.remove_overlaps to true, or lay them out anew with the recipe unwrap"
+            "{percent} % of the {what} of atlas {id} is not {done}: its charts lie on themselves{tangents}. Set box_cutter.remove_overlaps to true, or lay them out anew with the recipe unwrap"
         ),
     };
     Warning::new("held_back", text)
@@ -90,12 +104,18 @@ pub struct SheetInfo {
     pub directions: bool,
     /// Whether several texture sets share the Atlas: that is a gain in itself.
     pub joined: bool,
+    /// By face as uploaded, whether it shall be turned by a half only: it reads directions through tangents that no other turn can be
+    /// given to. Empty where there is no such face.
+    pub half_turns: Vec<bool>,
 }
+
+/// Share of a chart's area from which faces that shall be turned by a half only speak for the chart.
+const HALF_TURNS: f64 = 0.01;
 
 impl SheetInfo {
     /// What is known of a texture set's sheet.
     pub fn new(set: &TextureSet) -> Self {
-        let ratio = |slot: &crate::texture::Slot| {
+        let ratio = |slot: &Slot| {
             let along =
                 |side: usize, size: u32| (f64::from(set.reference[side]) / f64::from(size.max(1)) - 1e-9).ceil() as u32;
             along(0, slot.header.width).max(along(1, slot.header.height))
@@ -116,7 +136,23 @@ impl SheetInfo {
             along_edges: set.primitives.iter().any(|p| p.along_edges),
             directions: set.slots.iter().any(|s| s.role.is_direction()),
             joined: false,
+            half_turns: half_turns(set),
         }
+    }
+
+    /// Whether some faces, which are placed as one, shall be turned by a half only.
+    pub fn turns_by_half(&self, atlas: &Atlas, faces: impl Iterator<Item = FaceId>) -> bool {
+        if self.half_turns.is_empty() {
+            return false;
+        }
+        let (mut all, mut half) = (0.0, 0.0);
+        for face in faces {
+            let area = atlas.uv_area(face).abs();
+            all += area;
+            let source = atlas.provenance[face.index()].source.index();
+            half += if self.half_turns.get(source) == Some(&true) { area } else { 0.0 };
+        }
+        half > HALF_TURNS * all
     }
 
     /// Of a sheet without images, for tests.
@@ -131,6 +167,7 @@ impl SheetInfo {
             along_edges: false,
             directions: false,
             joined: false,
+            half_turns: Vec::new(),
         }
     }
 
@@ -142,6 +179,20 @@ impl SheetInfo {
             Gutter::Auto => 2,
         }
     }
+}
+
+/// By face as uploaded, whether its tangents can be turned by a half only and something is read through them; empty where none is.
+fn half_turns(set: &TextureSet) -> Vec<bool> {
+    let mut faces = Vec::new();
+    for (p, primitive) in set.primitives.iter().enumerate().filter(|(_, p)| !p.oblique_tangents.is_empty()) {
+        let reads = |s: &Slot| !s.exempt && s.role.is_direction() && s.primitives.contains(&(p as u32));
+        if set.slots.iter().any(reads) {
+            faces.resize(set.atlas.face_count(), false);
+            let own = faces.iter_mut().skip(primitive.first_face).zip(&primitive.oblique_tangents);
+            own.for_each(|(face, oblique)| *face = *oblique);
+        }
+    }
+    faces
 }
 
 /// What a stage gives back.

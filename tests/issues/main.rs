@@ -9,4 +9,5 @@ mod names;
 mod numbers;
 mod outcomes;
 mod scans;
+mod tangents;
 mod tiles;

@@ -68,12 +68,14 @@ impl Turn {
         !self.mirrored && self.direction() == DVec2::X
     }
 
-    /// `tangent` turned about `normal`; `w` is its handedness as uploaded.
+    /// `tangent` turned about `normal`; `w` is its handedness as uploaded. What of a tangent lies along the normal changes its sign where
+    /// the turn is more than a quarter: a half turn is the opposite of any tangent, perpendicular or not.
     pub(super) fn apply(&self, tangent: DVec3, w: f64, normal: DVec3) -> DVec3 {
         let Some(n) = normal.try_normalize() else { return tangent };
         let d = self.direction();
         let sin = if self.mirrored { -d.y * w } else { d.y * w };
-        tangent * d.x + n.cross(tangent) * sin + n * (n.dot(tangent) * (1.0 - d.x))
+        let along = if d.x < 0.0 { -1.0 } else { 1.0 };
+        tangent * d.x + n.cross(tangent) * sin + n * (n.dot(tangent) * (along - d.x))
     }
 }
 
@@ -118,6 +120,20 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// What of a tangent lies along the normal stayed as it was.
+    #[test]
+    fn a_half_turn_is_the_opposite_of_any_tangent() {
+        let before = [DVec2::ZERO, DVec2::X, DVec2::Y];
+        let (normal, tangent) = (DVec3::new(0.3, -0.2, 2.0), DVec3::new(0.8, 0.1, 0.59));
+        let half = Turn::of(before, before.map(|p| 9.0 - p)).unwrap();
+        assert_eq!(half.apply(tangent, 1.0, normal), -tangent);
+        let mirrored = Turn::of(before, before.map(|p| DVec2::new(9.0 - p.x, p.y))).unwrap();
+        assert!(mirrored.mirrored);
+        assert_eq!(mirrored.apply(tangent, -1.0, normal), -tangent);
+        let other = Turn::of(before, before.map(|p| DVec2::new(p.x, 9.0 - p.y))).unwrap();
+        assert_eq!(other.apply(tangent, -1.0, normal), tangent);
     }
 
     #[test]

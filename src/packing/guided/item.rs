@@ -84,8 +84,8 @@ pub(super) struct InstanceSet<'a> {
     pub grid: Grid,
     /// By piece, the orientations that scans choose from; empty where pieces only move a little.
     pub candidates: Vec<Vec<Arc<RasterizedItem>>>,
-    /// Whether pieces turn by any angle.
-    pub rotates: bool,
+    /// By piece, whether it turns by any angle.
+    pub rotates: Vec<bool>,
 }
 
 /// A piece on the sheet: rasterised, and the cell of its mask's corner.

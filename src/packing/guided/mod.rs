@@ -194,11 +194,12 @@ impl GuidedSearch<'_> {
         let cells = 0.97 * owned.iter().sum::<usize>() as f64;
         let candidates =
             |p: usize| if scans { self.orientations[p].par_iter().map(|o| item(p, o)).collect() } else { Vec::new() };
+        let turns_freely = self.request.rotation == Rotation::Any;
         let instances = InstanceSet {
             outlines: self.outlines,
             grid,
             candidates: (0..self.orientations.len()).into_par_iter().map(candidates).collect(),
-            rotates: self.request.rotation == Rotation::Any,
+            rotates: self.request.pieces.iter().map(|p| turns_freely && !p.half_turns).collect(),
         };
         Level { instances, objective: Objective::new(self.request, cell, cells) }
     }

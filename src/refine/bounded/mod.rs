@@ -146,8 +146,8 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
     let StageInput { atlas, sheet_info, options, context, .. } = *input;
     let charts = Charts::new(&Topology::new(atlas));
     let together = clusters(atlas, &charts, options.atlas.overlaps);
-    let is_held = |f: FaceId| together.charts[together.of_chart[charts.of_face[f.index()].index()] as usize].len() > 1;
-    let held: Vec<bool> = atlas.faces().map(is_held).collect();
+    let held_charts = input.held_back(&charts, &together);
+    let held: Vec<bool> = charts.of_face.iter().map(|c| held_charts[c.index()]).collect();
     let cluster: Vec<u32> = atlas
         .faces()
         .map(|f| if held[f.index()] { together.of_chart[charts.of_face[f.index()].index()] } else { NO_DISK })

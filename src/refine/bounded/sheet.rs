@@ -91,9 +91,9 @@ pub(super) fn aspect(input: &StageInput<'_>) -> Option<f64> {
     }
 }
 
-/// Whether parts may be turned by a quarter.
+/// Whether parts may be turned by a quarter: all of them, as boxes know nothing of what is in them.
 pub(super) fn turns(input: &StageInput<'_>) -> bool {
-    input.options.pack.rotation != Rotation::None
+    input.options.pack.rotation != Rotation::None && input.sheet_info.half_turns.is_empty()
 }
 
 /// Packs the boxes about all parts, and about what stays as it is. `cluster` by uploaded face: what stays together is one; [`NO_DISK`] where a face is by itself.

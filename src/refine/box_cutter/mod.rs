@@ -68,7 +68,8 @@ pub(crate) fn box_cutter(input: &StageInput<'_>, weights: Option<&[[f64; 3]]>, p
     let charts = Charts::new(mesh.topology());
     let together = clusters(mesh.atlas(), &charts, options.atlas.overlaps);
     let along_edges = params.cuts == Cuts::Edges || params.cuts == Cuts::Auto && sheet_info.along_edges;
-    let panels = start::panels(mesh.atlas(), mesh.topology(), &charts, &together, along_edges, options.pack.rotation);
+    let rotation = options.pack.rotation;
+    let panels = start::panels(mesh.atlas(), mesh.topology(), &charts, &together, along_edges, sheet_info, rotation);
     let held: f64 = panels.iter().filter(|p| !p.cuttable()).map(|p| p.area).fold(0.0, |a, b| a + b);
     let total: f64 = panels.iter().map(|p| p.area).sum();
     let length: f64 = panels.iter().map(|p| p.length).sum();
@@ -105,7 +106,7 @@ pub(crate) fn box_cutter(input: &StageInput<'_>, weights: Option<&[[f64; 3]]>, p
         ("held_back".to_owned(), json!(held / total.max(1e-300))),
     ]);
     if held > 0.0 {
-        context.warn(stage::held_back(input, held / total.max(1e-300), "layout", "cut"));
+        context.warn(stage::held_back_warning(input, held / total.max(1e-300), "layout", "cut"));
     }
     Ok(finished(input, laid, found.stopped_by, figures))
 }
@@ -146,7 +147,8 @@ fn without_overlaps(
         context.step(0.06, "welding")?;
         let charts = Charts::new(&Topology::new(&next));
         let efficiency = |a: &Atlas| packed_efficiency(a, sheet_info, options);
-        let welded = weld::weld(&next, &|c| touchable(&charts, c), params.weld_loss, &efficiency, context)?;
+        let turns = |c: ChartId| !sheet_info.turns_by_half(&next, charts.faces[c.index()].iter().copied());
+        let welded = weld::weld(&next, &|c| touchable(&charts, c) && turns(c), params.weld_loss, &efficiency, context)?;
         figures.insert("welds".to_owned(), json!(welded.welds));
         figures.insert("welds_undone".to_owned(), json!(welded.undone));
         figures.insert("weld_saved".to_owned(), json!(welded.boundary_saved / border(atlas).max(1e-300)));
@@ -249,7 +251,7 @@ fn packed_efficiency(atlas: &Atlas, sheet_info: &SheetInfo, options: &Options) -
     let charts = Charts::new(&topology);
     // Where charts were cut or moved they may lie on each other: each is its own.
     let together = clusters(atlas, &charts, OverlapMode::Separate);
-    let panels = start::panels(atlas, &topology, &charts, &together, false, options.pack.rotation);
+    let panels = start::panels(atlas, &topology, &charts, &together, false, sheet_info, options.pack.rotation);
     Ok(sheet(&panels, sheet_info, options).arrange(&panels, None).0.map_or(0.0, |a| a.efficiency))
 }
 

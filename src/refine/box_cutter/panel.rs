@@ -8,7 +8,7 @@ use super::edges::Patch;
 use super::outline::{Line, Outline};
 use super::void::{VoidBox, void_boxes};
 use crate::atlas::bvh::Bounds;
-use crate::packing::{Mask, Orientation, Pitch, Probe, Rotation, Shape, fill, l1_norm};
+use crate::packing::{Mask, Orientation, Pitch, Probe, Rotation, Shape, fill, l1_norm, quarter_turns};
 
 /// How panels are rasterised during the search.
 #[derive(Debug, Clone, Copy)]
@@ -42,6 +42,8 @@ pub(crate) struct Panel {
     rigid: Option<Vec<[DVec2; 3]>>,
     /// The angle that turns its border along the axes, in 0..pi/2 (Box Cutter 3.2.1).
     pub axes: f64,
+    /// Whether it may be turned by a half only.
+    pub half_turns: bool,
     shapes: OnceLock<Arc<Vec<Shape>>>,
     voids: OnceLock<Vec<LocalVoid>>,
 }
@@ -59,16 +61,28 @@ pub(crate) struct LocalVoid {
 
 impl Panel {
     /// A panel that can be cut.
-    pub fn new(chart: u32, outline: Outline, patch: Option<Patch>, rotation: Rotation) -> Self {
-        let axes = if rotation == Rotation::Any { best_axes(&outline) } else { 0.0 };
+    pub fn new(chart: u32, outline: Outline, patch: Option<Patch>, rotation: Rotation, half_turns: bool) -> Self {
+        let axes = if rotation == Rotation::Any && !half_turns { best_axes(&outline) } else { 0.0 };
         let (area, length) = (outline.area(), outline.length());
         let (shapes, voids) = (OnceLock::new(), OnceLock::new());
-        Panel { chart, outline, area, length, patch, rigid: None, axes, shapes, voids }
+        Panel { chart, outline, area, length, patch, rigid: None, axes, half_turns, shapes, voids }
     }
 
     /// A panel that stays as it is: what overlaps itself, is several charts, or has no proper border.
-    pub fn rigid(chart: u32, outline: Outline, triangles: Vec<[DVec2; 3]>, area: f64, rotation: Rotation) -> Self {
-        Panel { rigid: Some(triangles), area, ..Panel::new(chart, outline, None, rotation) }
+    pub fn rigid(
+        chart: u32,
+        outline: Outline,
+        triangles: Vec<[DVec2; 3]>,
+        rotation: Rotation,
+        half_turns: bool,
+    ) -> Self {
+        let area = triangles.iter().map(|[a, b, c]| 0.5 * (*b - *a).perp_dot(*c - *a).abs()).sum();
+        Panel { rigid: Some(triangles), area, ..Panel::new(chart, outline, None, rotation, half_turns) }
+    }
+
+    /// A part of it.
+    pub fn part(&self, outline: Outline, patch: Option<Patch>, rotation: Rotation) -> Self {
+        Panel::new(self.chart, outline, patch, rotation, self.half_turns)
     }
 
     /// Whether it may be cut.
@@ -89,13 +103,13 @@ impl Panel {
 
     /// The ways round that packing tries, best axes first.
     pub fn orientations(&self, raster: &Raster) -> Vec<Orientation> {
-        let quarters = if raster.rotation == Rotation::None { 1 } else { 4 };
+        let quarters = quarter_turns(raster.rotation, self.half_turns);
         let mirrors = if raster.mirror { &[false, true][..] } else { &[false] };
-        let turn = |mirror: bool, q: u32| {
+        let turn = |mirror: bool, q: u8| {
             let quarter = std::f64::consts::FRAC_PI_2 * f64::from(q);
             Orientation { angle: if mirror { quarter - self.axes } else { quarter + self.axes }, mirror }
         };
-        mirrors.iter().flat_map(|&m| (0..quarters).map(move |q| turn(m, q))).collect()
+        mirrors.iter().flat_map(|&m| quarters.iter().map(move |&q| turn(m, q))).collect()
     }
 
     /// The panel's shapes, in the order of its orientations.

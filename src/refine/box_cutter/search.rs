@@ -160,8 +160,8 @@ impl SearchState {
             self.length += 2.0 * cut.length;
             self.weighted += 2.0 * cut.weighted;
             self.cuts.push(Arc::new(Cut::Edges(cut.cuts)));
-            let panel = |(outline, patch)| Panel::new(panel.chart, outline, Some(patch), rotation);
-            return Some(cut.parts.into_iter().map(panel).collect());
+            let part = |(outline, patch)| panel.part(outline, Some(patch), rotation);
+            return Some(cut.parts.into_iter().map(part).collect());
         }
         Some(self.along(panel, line, &own, search))
     }
@@ -177,7 +177,7 @@ impl SearchState {
         let chords = own.iter().map(|c| (c.from, c.to)).collect();
         self.cuts.push(Arc::new(Cut::Straight { chart: panel.chart, line: *line, chords }));
         let rotation = search.sheet.raster.rotation;
-        parts.into_iter().map(|o| Panel::new(panel.chart, o, None, rotation)).collect()
+        parts.into_iter().map(|o| panel.part(o, None, rotation)).collect()
     }
 
     /// The state with one to three of its cuts taken back, or a stretch of them. Cuts that ended at one of those run on to

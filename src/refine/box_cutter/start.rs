@@ -15,6 +15,7 @@ use crate::atlas::{
     overlaps,
 };
 use crate::packing::{InitialLayout, Rotation};
+use crate::refine::stage::SheetInfo;
 
 /// Overlapping pairs that are looked for; beyond, charts are told apart by their areas alone.
 const PAIRS: usize = 1_000_000;
@@ -29,6 +30,7 @@ pub(crate) fn panels(
     charts: &Charts,
     together: &Clusters,
     along_edges: bool,
+    sheet_info: &SheetInfo,
     rotation: Rotation,
 ) -> Vec<Arc<Panel>> {
     let loops = Loops::new(topology, charts);
@@ -45,6 +47,7 @@ pub(crate) fn panels(
             let faces = || own.iter().flat_map(|c| charts.faces[c.index()].iter().copied());
             let area: f64 = faces().map(|f| atlas.uv_area(f).abs()).sum();
             let id = own[0].0;
+            let half_turns = sheet_info.turns_by_half(atlas, faces());
             let mut outline = Outline { loops: own.iter().flat_map(|c| borders[c.index()].iter().cloned()).collect() };
             if outline.area() < 0.0 {
                 outline.loops.iter_mut().for_each(|l| l.reverse());
@@ -56,10 +59,10 @@ pub(crate) fn panels(
             if !simple {
                 let triangles =
                     faces().map(|f| atlas.uv_triangle(f)).filter(|t| t.iter().all(|p| p.is_finite())).collect();
-                return Arc::new(Panel::rigid(id, outline, triangles, area, rotation));
+                return Arc::new(Panel::rigid(id, outline, triangles, rotation, half_turns));
             }
             let patch = along_edges.then(|| Patch { faces: Arc::new(faces().collect()), ..Patch::default() });
-            Arc::new(Panel::new(id, outline, patch, rotation))
+            Arc::new(Panel::new(id, outline, patch, rotation, half_turns))
         })
         .collect()
 }

@@ -52,6 +52,7 @@ fn sheet_info() -> SheetInfo {
         along_edges: false,
         directions: false,
         joined: false,
+        half_turns: Vec::new(),
     }
 }
 

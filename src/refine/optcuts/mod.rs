@@ -118,7 +118,7 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
         ("held_back".to_owned(), json!(held_back)),
     ]);
     if held_back > 0.0 {
-        context.warn(stage::held_back(input, held_back, "surface", "cut"));
+        context.warn(stage::held_back_warning(input, held_back, "surface", "cut"));
     }
     if figures["bound_met"] == false {
         let text = format!(

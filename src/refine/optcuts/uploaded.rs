@@ -24,7 +24,7 @@ pub(super) struct StartLayout {
     pub repaired: usize,
 }
 
-/// By face: whether its chart shares texels with others on purpose, and stays as it is.
+/// By face: whether its chart stays as it is.
 pub(super) fn held_back(input: &StageInput<'_>, params: &OptCuts) -> Vec<bool> {
     let atlas = input.atlas;
     if !atlas.has_layout() || params.start == Start::Fresh {
@@ -32,7 +32,8 @@ pub(super) fn held_back(input: &StageInput<'_>, params: &OptCuts) -> Vec<bool> {
     }
     let charts = Charts::new(&Topology::new(atlas));
     let together = clusters(atlas, &charts, input.options.atlas.overlaps);
-    charts.of_face.iter().map(|c| together.charts[together.of_chart[c.index()] as usize].len() > 1).collect()
+    let held = input.held_back(&charts, &together);
+    charts.of_face.iter().map(|c| held[c.index()]).collect()
 }
 
 /// The layout to start from; none where there is none, or where it is not wanted. Faces that are not `wanted` do not count.

@@ -29,7 +29,7 @@ impl OverlapMinimizer<'_> {
         let Some(here) = self.cheapest_near(i, &from, 0, f32::INFINITY) else { return };
         let mut best = here;
         self.improve(i, &from, reach, &mut best);
-        if best.cost > 0.0 && self.instances.rotates && self.random.below(2) == 0 {
+        if best.cost > 0.0 && self.instances.rotates[i] && self.random.below(2) == 0 {
             let turned = self.turned(i, &from);
             self.improve(i, &turned, reach, &mut best);
         }
@@ -105,7 +105,7 @@ impl OverlapMinimizer<'_> {
 
     /// An orientation near the present one in which the piece fits the container.
     pub(super) fn fitting_orientation(&mut self, i: usize) -> Option<Orientation> {
-        if !self.instances.rotates {
+        if !self.instances.rotates[i] {
             return None;
         }
         let grid = &self.instances.grid;
