@@ -6,6 +6,7 @@ use glam::DVec2;
 
 use super::outline::Line;
 use super::panel::{Panel, Raster, to_chart};
+use crate::context::Context;
 use crate::packing::{Mask, Plan, RULES, Shapes, StripLayout, greedy};
 
 /// A layout of panels.
@@ -39,16 +40,19 @@ const MANY: usize = 80;
 
 impl Sheet {
     /// Packs the panels greedily, in several orders and on strips of several widths, and gives the best; and the work. Where panels
-    /// are those of a known layout but for few, strips about `near` as wide as that one are enough.
-    pub fn arrange(&self, panels: &[Arc<Panel>], near: Option<usize>) -> (Option<Arrangement>, u64) {
+    /// are those of a known layout but for few, strips about `near` as wide as that one are enough. When time is up the best so far counts; none
+    /// only where a layout is known. None when the job is cancelled, too.
+    pub fn arrange(&self, panels: &[Arc<Panel>], near: Option<usize>, context: &Context) -> (Option<Arrangement>, u64) {
+        let is_known = near.is_some();
         let near = near.filter(|_| panels.len() > SOME);
         let widths: Vec<usize> = match near {
             Some(width) => NEAR.iter().map(|f| ((width as f64 * f) as usize).clamp(1, self.widest())).collect(),
             None => self.widths.clone(),
         };
-        let found = self.on_strips(panels, &widths, near.is_some());
-        if found.0.is_none() && near.is_some() {
-            let (arranged, work) = self.on_strips(panels, &self.widths, false);
+        let stop = |any: bool| context.check().is_err() || (is_known || any) && context.out_of_time();
+        let found = self.on_strips(panels, &widths, near.is_some(), &stop);
+        if found.0.is_none() && near.is_some() && !stop(false) {
+            let (arranged, work) = self.on_strips(panels, &self.widths, false, &stop);
             return (arranged, work + found.1);
         }
         found
@@ -58,7 +62,14 @@ impl Sheet {
         self.widths.iter().copied().max().unwrap_or(1)
     }
 
-    fn on_strips(&self, panels: &[Arc<Panel>], widths: &[usize], near: bool) -> (Option<Arrangement>, u64) {
+    /// `stop` is told whether there is a layout already.
+    fn on_strips(
+        &self,
+        panels: &[Arc<Panel>],
+        widths: &[usize],
+        near: bool,
+        stop: &dyn Fn(bool) -> bool,
+    ) -> (Option<Arrangement>, u64) {
         let raster = &self.raster;
         let of_piece = panels.iter().map(|p| p.shapes(raster)).collect();
         let shapes = Shapes { cell: raster.cell, gutter: 0, of_piece, pitch: raster.pitch };
@@ -86,7 +97,11 @@ impl Sheet {
                 };
                 let plan =
                     Plan { order: (*order).clone(), width, height, rule: *rule, partial: false, frontiers: false };
-                let (layout, _) = greedy(&shapes, &plan, &|| false);
+                let any = best.is_some();
+                if stop(any) {
+                    break;
+                }
+                let (layout, _) = greedy(&shapes, &plan, &|| stop(any));
                 work += layout.work + 20 * panels.len() as u64;
                 if !layout.left_over.is_empty() {
                     continue;

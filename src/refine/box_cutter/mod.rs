@@ -74,7 +74,8 @@ pub(crate) fn box_cutter(input: &StageInput<'_>, weights: Option<&[[f64; 3]]>, p
     let total: f64 = panels.iter().map(|p| p.area).sum();
     let length: f64 = panels.iter().map(|p| p.length).sum();
     let sheet = sheet(&panels, sheet_info, options);
-    let (arrangement, _) = sheet.arrange(&panels, None);
+    let (arrangement, _) = sheet.arrange(&panels, None, context);
+    context.check()?;
     let Some(arrangement) = arrangement else { return Err(Failure::internal("no strip holds the panels")) };
     let growth = params.max_boundary_length.map_or(f64::INFINITY, |b| b - 1.0);
     let usual = || (WORK * growth.max(0.05) * (0.7 + growth)).min(MOST_WORK) as u64;
@@ -146,7 +147,7 @@ fn without_overlaps(
     if params.weld && (options.pack.rotation == Rotation::Any || sheet_info.is_virtual) {
         context.step(0.06, "welding")?;
         let charts = Charts::new(&Topology::new(&next));
-        let efficiency = |a: &Atlas| packed_efficiency(a, sheet_info, options);
+        let efficiency = |a: &Atlas| packed_efficiency(a, input);
         let turns = |c: ChartId| !sheet_info.turns_by_half(&next, charts.faces[c.index()].iter().copied());
         let welded = weld::weld(&next, &|c| touchable(&charts, c) && turns(c), params.weld_loss, &efficiency, context)?;
         figures.insert("welds".to_owned(), json!(welded.welds));
@@ -246,13 +247,15 @@ fn sheet(panels: &[std::sync::Arc<panel::Panel>], sheet_info: &SheetInfo, option
 }
 
 /// Packing efficiency at the resolution of the search.
-fn packed_efficiency(atlas: &Atlas, sheet_info: &SheetInfo, options: &Options) -> Result<f64> {
+fn packed_efficiency(atlas: &Atlas, input: &StageInput<'_>) -> Result<f64> {
+    let StageInput { sheet_info, options, context, .. } = *input;
     let topology = Topology::new(atlas);
     let charts = Charts::new(&topology);
     // Where charts were cut or moved they may lie on each other: each is its own.
     let together = clusters(atlas, &charts, OverlapMode::Separate);
     let panels = start::panels(atlas, &topology, &charts, &together, false, sheet_info, options.pack.rotation);
-    Ok(sheet(&panels, sheet_info, options).arrange(&panels, None).0.map_or(0.0, |a| a.efficiency))
+    context.check()?;
+    Ok(sheet(&panels, sheet_info, options).arrange(&panels, None, context).0.map_or(0.0, |a| a.efficiency))
 }
 
 /// Area of the charts over the area of their boxes, page by page.

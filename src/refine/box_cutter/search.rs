@@ -194,7 +194,8 @@ impl SearchState {
         for (cut, _) in self.cuts.iter().zip(&gone).filter(|(_, gone)| !**gone) {
             next.again(cut, search);
         }
-        let (arrangement, work) = search.sheet.arrange(&next.panels, Some(self.arrangement.layout.width));
+        let (arrangement, work) =
+            search.sheet.arrange(&next.panels, Some(self.arrangement.layout.width), search.context);
         found.work += work;
         next.arrangement = arrangement?;
         Some(next)
@@ -380,10 +381,7 @@ impl CutSearch<'_> {
             .par_iter()
             .map(|(_, s)| {
                 search.context.check()?;
-                if search.context.out_of_time() {
-                    return Ok((None, 0));
-                }
-                Ok(search.sheet.arrange(&s.panels, Some(s.arrangement.layout.width)))
+                Ok(search.sheet.arrange(&s.panels, Some(s.arrangement.layout.width), search.context))
             })
             .collect::<Result<_>>()?;
         self.found.tried += cut.len();
