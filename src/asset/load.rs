@@ -82,18 +82,23 @@ pub fn load_while(
             let json = parse_json(&entry.bytes, limits)?;
             resolve(json, None, entry, &upload, limits, &mut warnings, check)?
         }
-        Container::Glb => load_glb(&entry.bytes, entry, &upload, limits, &mut warnings, check)?,
-        Container::Tile => {
-            let (tile, glb) = tile::parse(&entry.bytes, &mut warnings)?;
-            let in_tile = |mut failure: Failure| {
-                if failure.code == Code::InvalidModel && failure.pointer.is_none() {
+        Container::Glb | Container::Tile => {
+            let (tile, glb) = match container {
+                Container::Tile => tile::parse(&entry.bytes, &mut warnings).map(|(tile, glb)| (Some(tile), glb))?,
+                _ => (None, entry.bytes.as_ref()),
+            };
+            let inside = glb::parse(glb, &mut warnings).and_then(|chunks| {
+                let json = parse_json(chunks.json, limits)?;
+                resolve(json, chunks.bin, entry, &upload, limits, &mut warnings, check)
+            });
+            let mut document = inside.map_err(|mut failure| {
+                if let (Some(tile), Code::InvalidModel, None) = (&tile, failure.code, &failure.pointer) {
                     failure.message =
                         format!("the .{} holds no glTF that is read: {}", tile.kind.extension(), failure.message);
                 }
                 failure
-            };
-            let mut document = load_glb(glb, entry, &upload, limits, &mut warnings, check).map_err(in_tile)?;
-            document.tile = Some(tile);
+            })?;
+            document.tile = tile;
             document
         }
     };
@@ -101,19 +106,6 @@ pub fn load_while(
     let unused = upload.unused(plain).into_iter().filter(|path| *path != entry.path);
     let unused = unused.map(|path| name::readable(&path).into_owned()).collect();
     Ok((document, warnings, unused))
-}
-
-fn load_glb(
-    glb: &[u8],
-    entry: &UploadEntry<'_>,
-    upload: &Upload<'_>,
-    limits: &Limits,
-    warnings: &mut Vec<Warning>,
-    check: &dyn Fn() -> Result<()>,
-) -> Result<Document> {
-    let chunks = glb::parse(glb, warnings)?;
-    let json = parse_json(chunks.json, limits)?;
-    resolve(json, chunks.bin, entry, upload, limits, warnings, check)
 }
 
 /// A file of an upload, by its path or, where only one has it, its name; files in archives are found too.

@@ -1,7 +1,5 @@
 //! Layouts that were refused, and surfaces without one.
 
-use std::path::Path;
-
 use intarsia::asset::{File, read_paths};
 use intarsia::context::Context;
 use intarsia::refine::options::Options;
@@ -54,13 +52,7 @@ fn a_layout_without_images_has_any_unit() {
 
 #[test]
 fn the_reported_layout_in_millimetres_is_packed() {
-    let Some(data) = std::env::var_os("INTARSIA_DATA") else {
-        return println!("INTARSIA_DATA names no folder: the reported model is not tried");
-    };
-    let path = Path::new(&data).join("reports/07-layout-in-other-units/bare.obj");
-    if !path.exists() {
-        return println!("{} is missing", path.display());
-    }
+    let Some(path) = crate::reported("07-layout-in-other-units/bare.obj") else { return };
     let outcome = packed(read_paths(&[path]).unwrap());
     assert!(codes(&outcome.report).iter().all(|c| !c.contains("tiling")), "{}", outcome.report["warnings"]);
     let atlas = &outcome.report["atlases"][0];

@@ -248,13 +248,7 @@ fn charts_with_perpendicular_tangents_are_turned_by_quarters() {
 
 #[test]
 fn the_reported_box_is_shaded_as_it_was() {
-    let Some(data) = std::env::var_os("INTARSIA_DATA") else {
-        return println!("INTARSIA_DATA names no folder: the reported model is not tried");
-    };
-    let path = std::path::Path::new(&data).join("reports/11-tangents-not-perpendicular/box.gltf");
-    if !path.exists() {
-        return println!("{} is missing", path.display());
-    }
+    let Some(path) = crate::reported("11-tangents-not-perpendicular/box.gltf") else { return };
     let files = read_paths(&[path]).unwrap();
     let before = shaded(&files);
     for rotation in ["quarter", "any"] {

@@ -95,7 +95,7 @@ struct Attempt {
     pieces: usize,
     fallbacks: usize,
     steps: usize,
-    /// Disks that stay as they were uploaded, because 32 bits cannot hold their faces where they would lie.
+    /// Disks that stay as they were uploaded, because 32 bits cannot hold their faces where they would lie; after one run of an attempt, those that should.
     kept: BTreeSet<usize>,
 }
 

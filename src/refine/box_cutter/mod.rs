@@ -187,7 +187,9 @@ fn finish(
     let StageInput { options, context, .. } = *input;
     let finals = &found.states[..found.states.len().min(FINALS)];
     // The layouts that the search ended with are improved, all a little, the best more.
-    let pack = Pack { search: PackSearch::Thorough, ..options.pack.clone() };
+    // When time is up, one packing as it was asked for is all that there is.
+    let search = if context.out_of_time() { options.pack.search } else { PackSearch::Thorough };
+    let pack = Pack { search, ..options.pack.clone() };
     let own = Options { pack, work_budget: None, ..options.clone() };
     let mut best: Option<(f64, &SearchState, Atlas)> = None;
     let mut work = 0;
