@@ -5,11 +5,13 @@ mod lumpy;
 mod paint;
 mod parts;
 mod random;
+mod scaled;
 mod scan;
 mod scene;
 mod surface;
 
 use crate::error::{Code, Failure, Result};
+pub use scaled::SampleTextures;
 
 type Maker = fn() -> scene::Scene;
 
@@ -63,10 +65,20 @@ pub fn names() -> &'static [&'static str] {
 /// # Errors
 /// `invalid_options` when there is no sample of that name.
 pub fn sample(name: &str) -> Result<Vec<u8>> {
+    sample_with(name, SampleTextures::default())
+}
+
+/// [`sample`] with its textures made larger or smaller, or written as JPEG.
+///
+/// # Errors
+/// As [`sample`].
+pub fn sample_with(name: &str, textures: SampleTextures) -> Result<Vec<u8>> {
     let maker = SAMPLES.iter().find(|(n, _)| *n == name).map(|(_, maker)| maker).ok_or_else(|| {
         Failure::new(Code::InvalidOptions, format!("there is no sample {name:?}: choose one of {}", names().join(", ")))
     })?;
-    maker().document.to_glb()
+    let mut document = maker().document;
+    textures.apply(&mut document)?;
+    document.to_glb()
 }
 
 #[cfg(test)]
