@@ -26,7 +26,7 @@ fn triangles() -> Vec<File> {
         let corner = Vec2::new(6.0 + 100.0 * column, 6.0 + 125.0 * row);
         let [long, short] = if i % 3 == 0 { [90.0, 40.0] } else { [38.0, 110.0] };
         for (k, at) in [Vec2::ZERO, Vec2::new(long, 0.0), Vec2::new(0.0, short)].into_iter().enumerate() {
-            let lean = (5.0 * f + k as f32).to_radians() * 0.38;
+            let lean = (6.0 + 1.6 * f + 0.5 * k as f32).to_radians();
             let w = if i % 2 == 0 { 1.0 } else { -1.0 };
             positions.extend((x * at.x - y * at.y * w + Vec3::Z * 300.0 * f).to_array());
             normals.extend(normal.to_array());
