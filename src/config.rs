@@ -279,6 +279,12 @@ pub struct Sample {
     /// The file to write (.glb).
     #[arg(short, long, requires = "name")]
     pub output: Option<PathBuf>,
+    /// Side of its textures in texels, which are scaled; up to 16384.
+    #[arg(long, requires = "output", value_parser = clap::value_parser!(u32).range(16..=16384))]
+    pub texture_size: Option<u32>,
+    /// Write its textures as JPEG.
+    #[arg(long, requires = "output")]
+    pub jpeg: bool,
 }
 
 /// Bytes from `500`, `64KB`, `1.5GiB`: decimal or binary units, at most 2^60.

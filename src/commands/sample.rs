@@ -1,6 +1,6 @@
 //! `intarsia sample`: a model made by code.
 
-use intarsia::asset::sample::{names, sample};
+use intarsia::asset::sample::{SampleTextures, names, sample_with};
 use intarsia::config::Sample;
 use intarsia::error::{Code, Failure, Result};
 use intarsia::refine::parse::near_or_all;
@@ -17,7 +17,7 @@ pub fn run(arguments: &Sample) -> Result<()> {
     let Some(output) = &arguments.output else {
         return Err(Failure::new(Code::InvalidRequest, "say where to write it: -o FILE.glb"));
     };
-    let bytes = sample(name)?;
+    let bytes = sample_with(name, SampleTextures { side: arguments.texture_size, jpeg: arguments.jpeg })?;
     super::write(output, &bytes)?;
     eprintln!("wrote {} ({} bytes)", output.display(), bytes.len());
     Ok(())

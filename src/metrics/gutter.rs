@@ -1,5 +1,6 @@
 //! The gutter: free texels between the texels of two clusters.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use rayon::prelude::*;
@@ -49,51 +50,74 @@ fn of_page(
     // Texels four times as large tell about how far to look at a fraction of the cost, and settle it where all are far apart.
     if size.iter().all(|s| s % COARSE == 0) {
         let size = size.map(|s| s / COARSE);
-        let gap = smallest_gap(atlas, page, size, WIDEST / COARSE, TOUCH / f64::from(COARSE), cluster)? * COARSE;
+        let gap = smallest_gap(atlas, page, size, 0..WIDEST / COARSE, TOUCH / f64::from(COARSE), cluster)? * COARSE;
         if gap >= WIDEST {
             return Some(WIDEST);
         }
-        // Between large texels that are so far apart small ones are at most two large ones farther.
+        // Between large texels that are so far apart small ones are no nearer, and at most two large ones farther.
         let widest = WIDEST.min(gap + 2 * COARSE);
-        let found = smallest_gap(atlas, page, size.map(|s| s * COARSE), widest, TOUCH, cluster)?;
+        let found = smallest_gap(atlas, page, size.map(|s| s * COARSE), gap..widest, TOUCH, cluster)?;
         // What touches a large texel may fall between small ones: then nothing is found so near.
         if found < widest || widest == WIDEST {
             return Some(found);
         }
     }
-    smallest_gap(atlas, page, size, WIDEST, TOUCH, cluster)
+    smallest_gap(atlas, page, size, 0..WIDEST, TOUCH, cluster)
 }
 
 const COARSE: u32 = 4;
 
-/// The smallest gap at a given size, at most `widest`.
+/// The smallest gap at a given size, which is known to be no less than the start of `within`; at most its end.
 fn smallest_gap(
     atlas: &Atlas,
     page: usize,
     size: [u32; 2],
-    widest: u32,
+    within: Range<u32>,
     touch: f64,
     cluster: impl Fn(FaceId) -> u32 + Copy + Sync,
 ) -> Option<u32> {
-    let bands = Bands::new(atlas, page, size, i64::from(widest))?;
-    let best = AtomicU32::new(widest);
-    bands.par_iter().for_each(|band| grow(&band, size[0], touch, cluster, &best));
+    let bands = Bands::new(atlas, page, size, i64::from(within.end))?;
+    let best = AtomicU32::new(within.end);
+    let grow = |labels: &mut Labels, band| grow(&band, size[0], touch, cluster, within.start, &best, labels);
+    bands.par_iter().for_each_init(Labels::default, grow);
     Some(best.into_inner())
 }
 
 /// No cluster has it yet.
 const FREE: u32 = u32::MAX;
+/// Texels that are looked at together.
+const RUN: usize = 64;
 /// The frame about a band, so that every texel has eight neighbours.
 const WALL: u32 = u32::MAX - 1;
+
+/// Which cluster has a texel, and how many rings it grew for that: of one band after the other.
+#[derive(Default)]
+struct Labels {
+    label: Vec<u32>,
+    distance: Vec<u8>,
+}
 
 /// Lowers `best` to the smallest gap in a band. (The bands share it only to stop early: the least of all does not depend
 /// on which of them comes first.)
 ///
 /// All clusters grow at once, a ring of texels at a time, until two meet: then the sum of their distances is the
-/// smallest gap. (On the shortest way between the closest two texels some neighbours have different nearest clusters.)
-fn grow(band: &Band<'_>, width: u32, touch: f64, cluster: impl Fn(FaceId) -> u32, best: &AtomicU32) {
+/// smallest gap, which is not less than `least`. (On the shortest way between the closest two texels some neighbours have different nearest clusters.)
+fn grow(
+    band: &Band<'_>,
+    width: u32,
+    touch: f64,
+    cluster: impl Fn(FaceId) -> u32,
+    least: u32,
+    best: &AtomicU32,
+    labels: &mut Labels,
+) {
+    if best.load(Relaxed) <= least {
+        return;
+    }
     let (w, h) = (width as usize + 2, band.height() + 2);
-    let mut label = vec![FREE; w * h];
+    let Labels { label, distance } = labels;
+    label.clear();
+    label.resize(w * h, FREE);
     label[..w].fill(WALL);
     label[(h - 1) * w..].fill(WALL);
     for row in label.chunks_exact_mut(w) {
@@ -104,15 +128,15 @@ fn grow(band: &Band<'_>, width: u32, touch: f64, cluster: impl Fn(FaceId) -> u32
         let own = cluster(f);
         touched_spans(&band.triangle(f), touch, &band.rows, width, |y, x0, x1| {
             let row = ((y - band.rows.start) as usize + 1) * w + 1;
-            for texel in &mut label[row + x0 as usize..row + x1 as usize] {
-                shared |= *texel != FREE && *texel != own;
-                *texel = own;
-            }
+            let span = &mut label[row + x0 as usize..row + x1 as usize];
+            // Without a branch for each texel: spans are long where sheets are large.
+            shared |= span.iter().fold(false, |shared, texel| shared | ((*texel != FREE) & (*texel != own)));
+            span.fill(own);
         });
         if shared {
             best.store(0, Relaxed);
         }
-        if best.load(Relaxed) == 0 {
+        if best.load(Relaxed) <= least {
             return;
         }
     }
@@ -120,17 +144,31 @@ fn grow(band: &Band<'_>, width: u32, touch: f64, cluster: impl Fn(FaceId) -> u32
     // Four neighbours do for the first ring: what a texel only meets across a corner, one beside it meets across an edge.
     let mut ring = Vec::new();
     for y in 1..h.saturating_sub(1) {
-        let row = &label[y * w..(y + 1) * w];
-        let beside = label[(y - 1) * w + 1..].iter().zip(&label[(y + 1) * w + 1..]);
-        for (x, (three, (above, below))) in row.windows(3).zip(beside).enumerate() {
-            let own = three[1];
-            let differs = (three[0] != own) | (three[2] != own) | (*above != own) | (*below != own);
-            if own < WALL && differs {
-                ring.push(y * w + x + 1);
+        let [above, row, below] = [y - 1, y, y + 1].map(|y| &label[y * w..(y + 1) * w]);
+        let mut x = 1;
+        while x + 1 < w {
+            let run = x..(x + RUN).min(w - 1);
+            x = run.end;
+            // Nearly everywhere all texels of a run are like all beside them.
+            let own = &row[run.clone()];
+            if own == &row[run.start - 1..run.end - 1]
+                && own == &row[run.start + 1..run.end + 1]
+                && own == &above[run.clone()]
+                && own == &below[run.clone()]
+            {
+                continue;
+            }
+            for x in run {
+                let own = row[x];
+                let differs = (row[x - 1] != own) | (row[x + 1] != own) | (above[x] != own) | (below[x] != own);
+                if own < WALL && differs {
+                    ring.push(y * w + x);
+                }
             }
         }
     }
-    let mut distance = vec![0u8; label.len()];
+    distance.clear();
+    distance.resize(label.len(), 0);
     for grown in 0u32.. {
         let mut next = Vec::new();
         for &i in &ring {

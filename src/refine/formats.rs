@@ -1,12 +1,12 @@
 //! In which format a refined texture is written, and what is to be said about it.
 
-use image::DynamicImage;
+use image::{ColorType, DynamicImage};
 
 use crate::context::Context;
 use crate::error::Warning;
 use crate::texture::Slot;
 use crate::texture::TextureFormat;
-use crate::texture::{Format, WEBP_SIDE, depth};
+use crate::texture::{Format, WEBP_SIDE};
 
 /// An uploaded file that a slot is read from.
 #[derive(Debug, Clone, Copy)]
@@ -27,6 +27,22 @@ impl Upload {
             (Format::Webp, true) => Some("lossy WebP"),
             _ => None,
         }
+    }
+}
+
+/// What a page is like, as far as formats ask.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PageKind {
+    /// Channels and depth.
+    pub colour: ColorType,
+    /// Width and height.
+    pub size: [u32; 2],
+}
+
+impl PageKind {
+    /// That of an image.
+    pub(super) fn of(image: &DynamicImage) -> Self {
+        PageKind { colour: image.color(), size: [image.width(), image.height()] }
     }
 }
 
@@ -54,31 +70,32 @@ impl<'a> Plan<'a> {
     }
 
     /// The format of a page: PNG where the one that is wanted cannot hold it.
-    pub(super) fn of(&self, page: &DynamicImage) -> Format {
+    pub(super) fn of(&self, page: PageKind) -> Format {
         if self.obstacle(page).is_some() { Format::Png } else { self.wanted }
     }
 
     /// What the wanted format cannot hold.
-    fn obstacle(&self, page: &DynamicImage) -> Option<&'static str> {
-        let deep = depth(page) > 8;
+    fn obstacle(&self, page: PageKind) -> Option<&'static str> {
+        let PageKind { colour, size: [width, height] } = page;
+        let deep = colour.bytes_per_pixel() > colour.channel_count();
         match self.wanted {
-            Format::Jpeg if deep || page.color().has_alpha() => Some("alpha or 16 bits, which JPEG cannot hold"),
+            Format::Jpeg if deep || colour.has_alpha() => Some("alpha or 16 bits, which JPEG cannot hold"),
             Format::Webp if deep => Some("16 bits, which WebP cannot hold"),
-            Format::Webp if page.width().max(page.height()) > WEBP_SIDE => Some("a side that is too long for WebP"),
+            Format::Webp if width.max(height) > WEBP_SIDE => Some("a side that is too long for WebP"),
             _ => None,
         }
     }
 
     /// Warns of what the user may not expect of the pages, written in `after` bytes.
-    pub(super) fn warn(&self, pages: &[DynamicImage], after: u64, context: &Context) {
+    pub(super) fn warn(&self, pages: &[PageKind], after: u64, context: &Context) {
         let name = &self.slot.name;
         let warn = |code: &str, text: String| {
             context.warn(Warning::new(code, text).at(format!("/images/{}", self.slot.image)));
         };
-        if let Some(obstacle) = pages.iter().find_map(|page| self.obstacle(page)) {
+        if let Some(obstacle) = pages.iter().find_map(|page| self.obstacle(*page)) {
             warn("kept_png", format!("{name} has {obstacle}: it is written as PNG"));
         }
-        if self.uploads.iter().any(|u| u.lossy) && pages.iter().any(|page| self.of(page) == Format::Jpeg) {
+        if self.uploads.iter().any(|u| u.lossy) && pages.iter().any(|page| self.of(*page) == Format::Jpeg) {
             let text =
                 "was compressed with a loss and is compressed once more (set texture.format to \"png\" to avoid that)";
             warn("lossy_reencode", format!("{name} {text}"));
@@ -111,8 +128,8 @@ mod tests {
         slot.header.format = uploaded;
         let plan = Plan::new(&slot, vec![Upload { format: uploaded, lossy, bytes: 100 }], wanted);
         let context = Context::silent();
-        let format = plan.of(&page);
-        plan.warn(&[page], 250, &context);
+        let format = plan.of(PageKind::of(&page));
+        plan.warn(&[PageKind::of(&page)], 250, &context);
         (format, context.warnings().into_iter().map(|w| w.code).collect())
     }
 
@@ -154,7 +171,7 @@ mod tests {
         let upload = |format, lossy, bytes| Upload { format, lossy, bytes };
         let uploads = vec![upload(Format::Png, false, 70), upload(Format::Ktx2, true, 31)];
         let context = Context::silent();
-        Plan::new(&slot, uploads, TextureFormat::Keep).warn(&[page(3, false, 8)], 250, &context);
+        Plan::new(&slot, uploads, TextureFormat::Keep).warn(&[PageKind::of(&page(3, false, 8))], 250, &context);
         let warning = context.warnings().remove(0);
         assert!(warning.message.contains("101 bytes") && warning.message.contains("250 bytes"), "{}", warning.message);
         assert_eq!((warning.code.as_str(), warning.pointer.as_deref()), ("reencoded_png", Some("/images/0")));

@@ -13,14 +13,16 @@ pub use super::fabrication::{FabricationParams, Seams};
 pub use super::importance::ImportanceSource;
 pub use super::recipe::Recipe;
 use super::recipe::{PRESETS, PresetStage, Step, preset};
+use super::stage::Stage;
 use super::table::{self, StageSections};
 use crate::asset::{Demand, ReadOptions, TileKind, Tiling, UvSet};
 use crate::atlas::OverlapMode;
 use crate::error::{Code, Failure, Result, WARNINGS};
 use crate::metrics::{self, Requirement};
-use crate::packing::Pack;
+use crate::packing::{Pack, Rotation};
 use crate::params::params;
 use crate::texture::Texture;
+use crate::texture::{Overflow, Size, TextureFormat};
 
 /// All options of a job.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -92,8 +94,15 @@ impl Options {
 impl Options {
     /// What the recipe does, as far as memory is concerned.
     pub fn demand(&self) -> Demand {
-        let unwraps = self.steps().iter().any(|step| !step.stage.needs_layout());
-        Demand { bakes: self.atlas.uv_set != UvSet::New, unwraps }
+        let steps = self.steps();
+        let unwraps = steps.iter().any(|step| !step.stage.needs_layout());
+        let copies = steps.iter().all(|step| step.stage.name() == Pack::NAME)
+            && self.pack.rotation != Rotation::Any
+            && self.texture.size == Size::KeepDensity
+            && self.texture.overflow == Overflow::Pages
+            && matches!(self.texture.format, TextureFormat::Keep | TextureFormat::Jpeg)
+            && !self.atlas.merge;
+        Demand { bakes: self.atlas.uv_set != UvSet::New, unwraps, copies }
     }
 }
 

@@ -3,7 +3,7 @@
 use glam::DVec2;
 use image::DynamicImage;
 
-use super::formats::{Plan, Upload};
+use super::formats::{PageKind, Plan, Upload};
 use super::group::{Group, Member};
 use super::load::Loaded;
 use crate::asset::{Document, TextureSet, is_small, mark_uniform, small_slot_warning};
@@ -13,8 +13,8 @@ use crate::error::{Code, Failure, Result};
 use crate::texture::Slot;
 use crate::texture::Texture;
 use crate::texture::{
-    Alpha, Bake, Baked, Direction, FIDELITY_SAMPLES, Fidelity, Format, Role, Source, UploadedColors, Wrap, bake,
-    decode, encode, is_lossy, neutral, texel, widened,
+    Alpha, Bake, Baked, Direction, FIDELITY_SAMPLES, Fidelity, Format, Role, STREAMED_FROM, Source, Streamed,
+    UploadedColors, Wrap, bake, bake_jpeg, decode, encode, is_lossy, neutral, page_size, texel, widened,
 };
 
 /// Texels about each chart that are taken from the uploaded image: enough for mip levels 0 to 2.
@@ -199,6 +199,19 @@ fn bake_slot(
         });
     }
     let job = Bake { before: &set.atlas, after, reference: set.reference, slot, sources, bleed: BLEED };
+    let kind = |page: usize| PageKind { colour: job.sources[0].image.color(), size: page_size(&job, page) };
+    let kinds: Vec<PageKind> = (0..after.sheets.len()).map(kind).collect();
+    let texels: u64 = kinds.iter().map(|kind| u64::from(kind.size[0]) * u64::from(kind.size[1])).sum();
+    if texels >= STREAMED_FROM
+        && kinds.iter().all(|kind| plan.of(*kind) == Format::Jpeg)
+        && let Some(streamed) = bake_jpeg(&job, options.jpeg_quality, FIDELITY_SAMPLES, context)?
+    {
+        let file = |(size, bytes)| BakedFile { size, format: Format::Jpeg, bytes };
+        let files: Vec<BakedFile> = streamed.files.into_iter().map(file).collect();
+        plan.warn(&kinds, files.iter().map(|f| f.bytes.len() as u64).sum(), context);
+        let Streamed { verbatim_texels, fidelity, layout_fidelity, .. } = streamed;
+        return Ok(BakedSlot { slot: index, files, verbatim_texels, resampled_area: 0.0, fidelity, layout_fidelity });
+    }
     let Baked { pages, verbatim_texels, resampled_area, .. } = bake(&job, context)?;
     let (layout, written) = rayon::join(
         || {
@@ -210,7 +223,7 @@ fn bake_slot(
             pages
                 .iter()
                 .map(|page| {
-                    let format = plan.of(page);
+                    let format = plan.of(PageKind::of(page));
                     let bytes = encode(page, format, options.jpeg_quality)?;
                     Ok(BakedFile { size: [page.width(), page.height()], format, bytes })
                 })
@@ -219,7 +232,7 @@ fn bake_slot(
     );
     let written = written?;
     let (uploaded, layout_fidelity) = layout?;
-    plan.warn(&pages, written.iter().map(|f| f.bytes.len() as u64).sum(), context);
+    plan.warn(&kinds, written.iter().map(|f| f.bytes.len() as u64).sum(), context);
     let fidelity = match as_delivered(pages, &written)? {
         Some(pages) => uploaded.against(&pages, context)?,
         None => layout_fidelity,

@@ -1,6 +1,8 @@
 //! From the uploaded texture to the refined one, through provenance: whole texels are copied, the rest is resampled,
 //! what nobody owns is filled.
 
+use std::sync::Mutex;
+
 use glam::DVec2;
 use image::{ColorType, DynamicImage};
 use rayon::prelude::*;
@@ -133,9 +135,13 @@ pub fn bake(job: &Bake<'_>, context: &Context) -> Result<Baked> {
 }
 
 impl<T: Depth, const C: usize> Baker<'_, T, C> {
-    fn run(job: &Bake<'_>, context: &Context) -> Result<Baked> {
-        let topology = Topology::new(job.after);
-        let maps = TexelMaps::new(job, &Charts::new(&topology))?;
+    /// Gives what bakes a slot to `with`. Fails with `internal` when the images are not of one kind.
+    pub(crate) fn with<R>(
+        job: &Bake<'_>,
+        maps: TexelMaps,
+        context: &Context,
+        with: impl FnOnce(&Baker<'_, T, C>) -> Result<R>,
+    ) -> Result<R> {
         let transfer = Transfer::new(Space::of(job.slot.role, job.channels()));
         let cutoff = match job.slot.alpha {
             Alpha::Mask(cutoff) if alpha_channel(C).is_some() && cutoff > 0.0 && cutoff <= 1.0 => Some(cutoff as f32),
@@ -164,18 +170,38 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
             TexelMap::Affine { to_source, .. } => Some(Footprint::new(to_source.matrix2)),
         };
         let footprints = maps.all.iter().map(footprint).collect();
-        let baker = Baker { job, samplers, transfer: &transfer, shown: &shown, maps, footprints, context, cutoff };
+        with(&Baker {
+            job,
+            samplers,
+            transfer: &transfer,
+            shown: &shown,
+            maps,
+            footprints,
+            context,
+            cutoff,
+            spare: Mutex::default(),
+        })
+    }
+
+    fn run(job: &Bake<'_>, context: &Context) -> Result<Baked> {
+        let topology = Topology::new(job.after);
+        let maps = TexelMaps::new(job, &Charts::new(&topology))?;
+        Self::with(job, maps, context, |baker| baker.pages(&topology))
+    }
+
+    fn pages(&self, topology: &Topology) -> Result<Baked> {
+        let job = self.job;
         let mut pages = Vec::new();
         let mut verbatim_texels = 0;
         for page in 0..job.after.sheets.len() {
-            let (image, copied) = baker.page(page, &topology)?;
+            let (image, copied) = self.page(page, topology)?;
             pages.push(image);
             verbatim_texels += copied;
         }
         let verbatim_face: Vec<bool> =
-            (0..job.after.face_count()).map(|f| matches!(baker.maps.get(f), Some(TexelMap::Exact { .. }))).collect();
+            (0..job.after.face_count()).map(|f| matches!(self.maps.get(f), Some(TexelMap::Exact { .. }))).collect();
         let (mut all, mut resampled) = (0.0, 0.0);
-        for face in job.after.faces().filter(|f| baker.maps.counts(f.index())) {
+        for face in job.after.faces().filter(|f| self.maps.counts(f.index())) {
             let area = job.after.area(face);
             all += area;
             resampled += if verbatim_face[face.index()] { 0.0 } else { area };

@@ -1,5 +1,8 @@
 //! Bakes a page by bands of rows: texels copied, resampled, fitted.
 
+use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
+
 use glam::DVec2;
 
 use super::bilinear_fit::{BilinearFit, HALO, QUADRATURE};
@@ -25,6 +28,10 @@ pub(crate) mod state {
     pub(crate) const RESAMPLED: u8 = 3;
 }
 
+/// Columns of a band that are copied together: where a chart was turned by a quarter they are rows of the upload, and what is read of
+/// these stays at hand from one row of the band to the next.
+const TILE: usize = 128;
+
 /// What all bands of a slot share.
 pub(crate) struct Baker<'a, T, const C: usize> {
     pub(crate) job: &'a Bake<'a>,
@@ -40,6 +47,8 @@ pub(crate) struct Baker<'a, T, const C: usize> {
     pub(crate) context: &'a Context,
     /// Cutoff of a mask whose coverage is kept.
     pub(crate) cutoff: Option<f32>,
+    /// Owners of bands that are done, for the memory that they have.
+    pub(crate) spare: Mutex<Vec<Coverage>>,
 }
 
 /// What is counted while a band is baked.
@@ -55,7 +64,7 @@ pub(crate) struct Counts {
 /// A run of texels of one row that have one map.
 struct Run {
     map: usize,
-    columns: std::ops::Range<usize>,
+    columns: Range<usize>,
 }
 
 impl<T: Depth, const C: usize> Baker<'_, T, C> {
@@ -66,21 +75,31 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         let halo = if has_fit { HALO } else { 0 };
         let first = top.saturating_sub(halo);
         let last = (top + (states.len() / width) as u32).saturating_add(halo).min(page.height);
-        let coverage = page.rows(first, last - first, self.context, &self.maps)?;
+        let mut coverage = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+        page.rows(first, last - first, self.context, &self.maps, &mut coverage)?;
         let has_fit = has_fit && coverage.owner.iter().any(|owner| self.interpolates(*owner));
         let mut fit = has_fit.then(|| BilinearFit::new(width, coverage.owner.len()));
         let mut counts = Counts { copied: 0, alphas: [0; 256], shown: 0 };
         let mut beyond = vec![T::default(); width * C];
-        for row in 0..(last - first) as usize {
-            self.context.check()?;
-            let y = first as usize + row;
-            let core = y.checked_sub(top as usize).filter(|r| (r + 1) * width <= states.len());
-            let line = match core {
-                Some(r) => &mut out[r * width * C..(r + 1) * width * C],
-                None if has_fit => &mut beyond[..],
-                None => continue,
-            };
-            self.row(&coverage, row, y, line, fit.as_mut());
+        let rows = 0..(last - first) as usize;
+        // A fit takes its texels row by row.
+        let tile = if has_fit { width } else { TILE };
+        for left in (0..width).step_by(tile) {
+            let columns = left..(left + tile).min(width);
+            for row in rows.clone() {
+                self.context.check()?;
+                let y = first as usize + row;
+                let core = y.checked_sub(top as usize).filter(|r| (r + 1) * width <= states.len());
+                let line = match core {
+                    Some(r) => &mut out[r * width * C..(r + 1) * width * C],
+                    None if has_fit => &mut beyond[..],
+                    None => continue,
+                };
+                self.row(&coverage, row, y, columns.clone(), line, fit.as_mut());
+            }
+        }
+        for row in rows {
+            let core = (first as usize + row).checked_sub(top as usize).filter(|r| (r + 1) * width <= states.len());
             if let Some(r) = core {
                 self.mark(&coverage, row, &mut states[r * width..(r + 1) * width], &mut counts);
             }
@@ -113,6 +132,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
                 counts.shown += QUADRATURE.iter().filter(shown).count() as u64;
             }
         }
+        self.spare.lock().unwrap_or_else(PoisonError::into_inner).push(coverage);
         Ok(counts)
     }
 
@@ -122,9 +142,9 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         matches!(self.footprints.get(map as usize), Some(Some(Footprint::Point)))
     }
 
-    fn runs<'b>(&'b self, owners: &'b [u32]) -> impl Iterator<Item = Run> + 'b {
+    /// The runs of `owners`, which begin at column `x`.
+    fn runs<'b>(&'b self, mut x: usize, owners: &'b [u32]) -> impl Iterator<Item = Run> + 'b {
         let map_of = |owner: u32| if owner == NO_FACE { TexelMaps::NONE } else { self.maps.of_face[owner as usize] };
-        let mut x = 0;
         owners.chunk_by(move |a, b| a == b || map_of(*a) == map_of(*b)).filter_map(move |run| {
             let columns = x..x + run.len();
             x = columns.end;
@@ -133,11 +153,19 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         })
     }
 
-    /// Copies or resamples the texels of one row.
-    fn row(&self, coverage: &Coverage, row: usize, y: usize, line: &mut [T], mut fit: Option<&mut BilinearFit<C>>) {
+    /// Copies or resamples the texels of one row that lie in some columns.
+    fn row(
+        &self,
+        coverage: &Coverage,
+        row: usize,
+        y: usize,
+        columns: Range<usize>,
+        line: &mut [T],
+        mut fit: Option<&mut BilinearFit<C>>,
+    ) {
         let width = line.len() / C;
-        let owners = &coverage.owner[row * width..(row + 1) * width];
-        for Run { map, columns } in self.runs(owners) {
+        let owners = &coverage.owner[row * width + columns.start..row * width + columns.end];
+        for Run { map, columns } in self.runs(columns.start, owners) {
             let out = &mut line[columns.start * C..columns.end * C];
             let start = row * width + columns.start;
             let sampler = &self.samplers[self.maps.source[map] as usize];
@@ -176,7 +204,7 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
     /// Notes what the texels of a row are.
     fn mark(&self, coverage: &Coverage, row: usize, states: &mut [u8], counts: &mut Counts) {
         let start = row * states.len();
-        for Run { map, columns } in self.runs(&coverage.owner[start..start + states.len()]) {
+        for Run { map, columns } in self.runs(0, &coverage.owner[start..start + states.len()]) {
             let distance = &coverage.distance[start + columns.start..start + columns.end];
             let states = &mut states[columns];
             if self.footprints[map].is_none() {
@@ -217,6 +245,12 @@ impl<T: Depth, const C: usize> Baker<'_, T, C> {
         if inside && dx == 1 {
             let start = sampler.index(x, y);
             out.copy_from_slice(&sampler.texels[start..start + out.len()]);
+        } else if inside {
+            let (mut from, step) = (sampler.index(x, y), ((dx + dy * w) * C as i64) as isize);
+            for texel in out.chunks_exact_mut(C) {
+                texel.copy_from_slice(&sampler.texels[from..from + C]);
+                from = from.wrapping_add_signed(step);
+            }
         } else {
             let mut place = [x, y];
             for texel in out.chunks_exact_mut(C) {

@@ -30,6 +30,7 @@ struct Edge {
 }
 
 /// The owners of a band of rows.
+#[derive(Default)]
 pub(crate) struct Coverage {
     /// Owning face by texel, or [`NO_FACE`].
     pub(crate) owner: Vec<u32>,
@@ -78,12 +79,22 @@ impl PageRaster {
         PageRaster { width: size[0], height: size[1], faces, edges, bleed }
     }
 
-    /// The owners of the rows `top..top + count`.
-    pub(crate) fn rows(&self, top: u32, count: u32, context: &Context, maps: &TexelMaps) -> Result<Coverage> {
+    /// Makes `coverage` the owners of the rows `top..top + count`.
+    pub(crate) fn rows(
+        &self,
+        top: u32,
+        count: u32,
+        context: &Context,
+        maps: &TexelMaps,
+        coverage: &mut Coverage,
+    ) -> Result<()> {
         let bottom = (top + count).min(self.height);
         let width = self.width as usize;
         let texels = width * (bottom - top) as usize;
-        let mut coverage = Coverage { owner: vec![NO_FACE; texels], distance: vec![f32::INFINITY; texels] };
+        coverage.owner.clear();
+        coverage.owner.resize(texels, NO_FACE);
+        coverage.distance.clear();
+        coverage.distance.resize(texels, f32::INFINITY);
         let mut free = vec![width; (bottom - top) as usize];
         for (i, (face, rows)) in self.faces.iter().enumerate() {
             if i % LOOK_EVERY == 0 {
@@ -112,7 +123,7 @@ impl PageRaster {
                 }
             }
         }
-        Ok(coverage)
+        Ok(())
     }
 
     /// One row of the ring about an edge: the nearest face wins, the lowest of equals; but first of all those whose
@@ -185,6 +196,14 @@ fn rasterize_row(corners: &[DVec2; 3], face: u32, y: u32, owner: &mut [u32], dis
     }
     let column = |x: f64| (x - 0.5).ceil().clamp(0.0, owner.len() as f64) as usize;
     let (from, to) = (column(left), column(right));
+    if from >= to {
+        return 0;
+    }
+    if owner[from..to].iter().fold(true, |free, owner| free & (*owner == NO_FACE)) {
+        owner[from..to].fill(face);
+        distance[from..to].fill(0.0);
+        return to - from;
+    }
     let mut covered = 0;
     for x in from..to {
         if owner[x] == NO_FACE {

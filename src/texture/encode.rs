@@ -3,7 +3,7 @@
 use image::DynamicImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::codecs::webp::WebPEncoder;
-use jpeg_encoder::SamplingFactor;
+use jpeg_encoder::{JpegColorType, SamplingFactor};
 
 use super::pixels::Depth;
 use super::{Format, depth};
@@ -25,7 +25,7 @@ pub fn encode(image: &DynamicImage, format: Format, jpeg_quality: u8) -> Result<
     }
     match format {
         Format::Png => encode_png(image),
-        Format::Jpeg => encode_jpeg(image, jpeg_quality.clamp(1, 100)),
+        Format::Jpeg => encode_jpeg(image, jpeg_quality),
         Format::Webp => encode_webp(image),
         Format::Ktx2 => Err(Failure::internal("KTX2 is not written")),
     }
@@ -38,19 +38,84 @@ fn encode_png(image: &DynamicImage) -> Result<Vec<u8>> {
     Ok(file)
 }
 
+/// Makes a row and gives it to its second argument.
+type MakeRow<'a> = dyn Fn(usize, &mut dyn FnMut(&[u8])) + 'a;
+
+/// Rows of 8-bit samples, grey or RGB, that are made when they are asked for: from the top, some at the end more than once.
+pub(crate) struct RowSource<'a> {
+    pub(crate) size: [u32; 2],
+    pub(crate) channels: usize,
+    pub(crate) row: &'a MakeRow<'a>,
+}
+
+/// Encodes rows as they come; quality and subsampling as [`encode`] has them.
+pub(crate) fn encode_jpeg_rows(rows: &RowSource<'_>, quality: u8) -> Result<Vec<u8>> {
+    let [width, height] = rows.size.map(u16::try_from);
+    let (Ok(width), Ok(height)) = (width, height) else { return Err(no_jpeg(&"it is too large")) };
+    let mut file = Vec::new();
+    jpeg_encoder(&mut file, quality).encode_image(JpegRows { rows, width, height }).map_err(|e| no_jpeg(&e))?;
+    Ok(file)
+}
+
+struct JpegRows<'a> {
+    rows: &'a RowSource<'a>,
+    width: u16,
+    height: u16,
+}
+
+impl jpeg_encoder::ImageBuffer for JpegRows<'_> {
+    fn get_jpeg_color_type(&self) -> JpegColorType {
+        if self.rows.channels == 1 { JpegColorType::Luma } else { JpegColorType::Ycbcr }
+    }
+
+    fn width(&self) -> u16 {
+        self.width
+    }
+
+    fn height(&self) -> u16 {
+        self.height
+    }
+
+    fn fill_buffers(&self, y: u16, buffers: &mut [Vec<u8>; 4]) {
+        (self.rows.row)(usize::from(y), &mut |row| {
+            let [first, second, third, _] = &mut *buffers;
+            if self.rows.channels == 1 {
+                first.extend_from_slice(row);
+                return;
+            }
+            let start = first.len();
+            for buffer in [&mut *first, &mut *second, &mut *third] {
+                buffer.resize(start + usize::from(self.width), 0);
+            }
+            let out = first[start..].iter_mut().zip(&mut second[start..]).zip(&mut third[start..]);
+            for (((y, cb), cr), texel) in out.zip(row.chunks_exact(3)) {
+                (*y, *cb, *cr) = jpeg_encoder::rgb_to_ycbcr(texel[0], texel[1], texel[2]);
+            }
+        });
+    }
+}
+
+fn no_jpeg(why: &dyn std::fmt::Display) -> Failure {
+    Failure::internal(format!("a JPEG cannot be written: {why}"))
+}
+
 /// By `jpeg_encoder`: it is vectorised, and subsamples chroma.
-fn encode_jpeg(image: &DynamicImage, quality: u8) -> Result<Vec<u8>> {
-    let failed = |e: &dyn std::fmt::Display| Failure::internal(format!("a JPEG cannot be written: {e}"));
+fn jpeg_encoder(file: &mut Vec<u8>, quality: u8) -> jpeg_encoder::Encoder<&mut Vec<u8>> {
+    let quality = quality.clamp(1, 100);
+    let mut encoder = jpeg_encoder::Encoder::new(file, quality);
+    encoder.set_sampling_factor(if quality >= FULL_CHROMA { SamplingFactor::R_4_4_4 } else { SamplingFactor::R_4_2_0 });
+    encoder
+}
+
+pub(super) fn encode_jpeg(image: &DynamicImage, quality: u8) -> Result<Vec<u8>> {
     let colour = match image.color().channel_count() {
         1 => jpeg_encoder::ColorType::Luma,
         3 => jpeg_encoder::ColorType::Rgb,
-        _ => return Err(failed(&"it has no alpha")),
+        _ => return Err(no_jpeg(&"it has no alpha")),
     };
-    let side = |n: u32| u16::try_from(n).map_err(|e| failed(&e));
+    let side = |n: u32| u16::try_from(n).map_err(|e| no_jpeg(&e));
     let (width, height) = (side(image.width())?, side(image.height())?);
     let mut file = Vec::new();
-    let mut encoder = jpeg_encoder::Encoder::new(&mut file, quality);
-    encoder.set_sampling_factor(if quality >= FULL_CHROMA { SamplingFactor::R_4_4_4 } else { SamplingFactor::R_4_2_0 });
     let narrowed: Vec<u8>;
     let samples = match u16::of(image) {
         Some(samples) => {
@@ -59,7 +124,7 @@ fn encode_jpeg(image: &DynamicImage, quality: u8) -> Result<Vec<u8>> {
         }
         None => image.as_bytes(),
     };
-    encoder.encode(samples, width, height, colour).map_err(|e| failed(&e))?;
+    jpeg_encoder(&mut file, quality).encode(samples, width, height, colour).map_err(|e| no_jpeg(&e))?;
     Ok(file)
 }
 
@@ -106,6 +171,23 @@ pub(crate) mod tests {
                 assert_eq!(decode(&file, 1 << 20).unwrap(), image);
                 let head = header(&file).unwrap();
                 assert_eq!((head.channels, head.depth), (channels, if deep { 16 } else { 8 }));
+            }
+        }
+    }
+
+    #[test]
+    fn rows_become_the_file_that_their_image_does() {
+        for (channels, width, height) in [(1, 45, 31), (3, 45, 31), (3, 64, 48), (3, 8, 9)] {
+            let image = picture(width, height, channels, false);
+            let line = width as usize * usize::from(channels);
+            let row = |y: usize, take: &mut dyn FnMut(&[u8])| take(&image.as_bytes()[y * line..(y + 1) * line]);
+            let rows = RowSource { size: [width, height], channels: channels.into(), row: &row };
+            for quality in [40, 92] {
+                let whole = encode(&image, Format::Jpeg, quality).unwrap();
+                assert!(
+                    encode_jpeg_rows(&rows, quality).unwrap() == whole,
+                    "{width} x {height} x {channels} at {quality}"
+                );
             }
         }
     }

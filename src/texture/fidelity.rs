@@ -6,9 +6,9 @@ use glam::{DMat2, DVec2, DVec3};
 use image::DynamicImage;
 use rayon::prelude::*;
 
-use super::pixels::Depth;
+use super::pixels::TexelRows;
 use super::texel_map::{TexelMap, TexelMaps, source_scale};
-use super::{Bake, Baked, Direction, Source, Wrap, texel};
+use super::{Bake, Baked, Direction, Wrap};
 use crate::atlas::{Charts, Topology};
 use crate::context::Context;
 use crate::error::{Failure, Result};
@@ -19,8 +19,8 @@ pub const SAMPLES: u32 = 100_000;
 const BEST: f64 = 120.0;
 /// Texels with less weight than this are not part of a footprint: a point may lie on either side of a lattice line.
 const WEIGHT: f64 = 1e-3;
-/// Points between two looks at the context.
-const CHUNK: u32 = 4096;
+/// Points between two looks at the context, and that are summed before the sums are.
+const CHUNK: usize = 4096;
 
 /// Fidelity of one slot. Errors are absolute differences of encoded values, in 1/255.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,11 +54,6 @@ pub struct UploadedColors<'a> {
     job: &'a Bake<'a>,
     maps: TexelMaps,
     points: Vec<Point>,
-    direction: Option<Direction>,
-    /// By source.
-    mips: Vec<Mip>,
-    /// By source: its texels by reference texel.
-    scales: Vec<DVec2>,
 }
 
 impl<'a> UploadedColors<'a> {
@@ -68,14 +63,7 @@ impl<'a> UploadedColors<'a> {
     /// `internal` when the parts do not belong together.
     pub fn new(job: &'a Bake<'a>, samples: u32, context: &Context) -> Result<Self> {
         let maps = TexelMaps::new(job, &Charts::new(&Topology::new(job.after)))?;
-        Ok(UploadedColors {
-            job,
-            points: scatter(job, &maps, samples, context.seed),
-            direction: job.slot.role.direction().filter(|_| job.channels() >= 3),
-            mips: job.sources.iter().map(|s| Mip::new(s.image)).collect(),
-            scales: job.sources.iter().map(source_scale).collect(),
-            maps,
-        })
+        Ok(UploadedColors { job, points: scatter(job, &maps, samples, context.seed), maps })
     }
 
     /// Fidelity of the slot's pages: as they were baked, or as their files decode.
@@ -86,33 +74,32 @@ impl<'a> UploadedColors<'a> {
         if pages.len() != self.job.after.sheets.len() {
             return Err(Failure::internal("a baked slot does not have the pages of its atlas"));
         }
-        let comparison = Comparison { uploaded: self, pages, page_mips: pages.iter().map(Mip::new).collect() };
-        let chunks: Vec<Result<Sums>> = self
+        let comparison = Comparison::new(self.job, &self.maps);
+        let pages: Vec<TexelRows<'_>> = pages.iter().map(TexelRows::of).collect();
+        let compared: Vec<Result<Vec<Option<PointError>>>> = self
             .points
-            .par_chunks(CHUNK as usize)
+            .par_chunks(CHUNK)
             .map(|points| {
                 context.check()?;
-                let mut sums = Sums::default();
-                points.iter().for_each(|p| comparison.add(p, &mut sums));
-                Ok(sums)
+                Ok(points.iter().map(|p| comparison.compare(p, &pages[comparison.place(p).0])).collect())
             })
             .collect();
-        let mut all = Sums::default();
-        for chunk in chunks {
-            all.join(chunk?);
+        let mut all = Vec::with_capacity(self.points.len());
+        for chunk in compared {
+            all.extend(chunk?);
         }
-        Ok(all.fidelity())
+        Ok(comparison.sum(&all))
     }
 }
 
 /// A point on the surface: a face and barycentric coordinates.
-struct Point {
+pub(crate) struct Point {
     face: u32,
     weights: DVec3,
 }
 
 /// Points in the order of faces, one in each stratum of equal area.
-fn scatter(job: &Bake<'_>, maps: &TexelMaps, samples: u32, seed: u64) -> Vec<Point> {
+pub(crate) fn scatter(job: &Bake<'_>, maps: &TexelMaps, samples: u32, seed: u64) -> Vec<Point> {
     let faces: Vec<(u32, f64)> = job
         .after
         .faces()
@@ -175,86 +162,55 @@ trait Texels {
     }
 }
 
-impl Texels for DynamicImage {
+impl Texels for TexelRows<'_> {
     fn size(&self) -> [i64; 2] {
-        [i64::from(self.width()), i64::from(self.height())]
+        self.size.map(|n| n as i64)
     }
     fn texel(&self, x: i64, y: i64) -> [f64; 4] {
-        texel(self, x as u32, y as u32)
+        TexelRows::texel(self, x as usize, y as usize)
     }
 }
 
-/// Mip level 2: means of 4 x 4 encoded texels (of what an image smaller or not divisible by 4 has there).
-struct Mip {
-    size: [i64; 2],
-    texels: Vec<[f32; 4]>,
-}
+/// Mip level 2: means of 4 x 4 encoded texels (of what an image smaller or not divisible by 4 has there), each made where it is read.
+struct Mip<'a>(TexelRows<'a>);
 
-impl Mip {
-    fn new(image: &DynamicImage) -> Self {
-        let full = [image.width() as usize, image.height() as usize];
-        let size = full.map(|n| (n / 4).max(1));
-        let texels = match image {
-            DynamicImage::ImageLuma8(b) => means::<_, 1>(b.as_raw(), full, size),
-            DynamicImage::ImageLumaA8(b) => means::<_, 2>(b.as_raw(), full, size),
-            DynamicImage::ImageRgb8(b) => means::<_, 3>(b.as_raw(), full, size),
-            DynamicImage::ImageRgba8(b) => means::<_, 4>(b.as_raw(), full, size),
-            DynamicImage::ImageLuma16(b) => means::<_, 1>(b.as_raw(), full, size),
-            DynamicImage::ImageLumaA16(b) => means::<_, 2>(b.as_raw(), full, size),
-            DynamicImage::ImageRgb16(b) => means::<_, 3>(b.as_raw(), full, size),
-            DynamicImage::ImageRgba16(b) => means::<_, 4>(b.as_raw(), full, size),
-            // Nothing decodes to floats.
-            _ => vec![[0.0; 4]; size[0] * size[1]],
-        };
-        Mip { size: size.map(|n| n as i64), texels }
-    }
-}
-
-/// The means over what each texel of an image of `size` covers of one of `full` texels of `C` channels.
-fn means<T: Depth, const C: usize>(samples: &[T], full: [usize; 2], size: [usize; 2]) -> Vec<[f32; 4]> {
-    let range = |i: usize, axis: usize| i * full[axis] / size[axis]..((i + 1) * full[axis]).div_ceil(size[axis]);
-    let mut texels = vec![[0.0; 4]; size[0] * size[1]];
-    texels.par_chunks_mut(size[0]).with_min_len(16).enumerate().for_each(|(y, row)| {
-        let rows = range(y, 1);
-        let lines = samples[rows.start * full[0] * C..rows.end * full[0] * C].chunks_exact(full[0] * C);
-        let mut sums = vec![[0u32; C]; size[0]];
-        for line in lines {
-            // Nearly always four texels each; else they may share one.
-            if full[0] == 4 * size[0] {
-                for (sum, run) in sums.iter_mut().zip(line.chunks_exact(4 * C)) {
-                    (0..4 * C).for_each(|i| sum[i % C] += run[i].value());
-                }
-            } else {
-                for (x, sum) in sums.iter_mut().enumerate() {
-                    let columns = range(x, 0);
-                    for texel in line[columns.start * C..columns.end * C].chunks_exact(C) {
-                        (0..C).for_each(|c| sum[c] += texel[c].value());
-                    }
-                }
-            }
-        }
-        for (x, (out, sum)) in row.iter_mut().zip(&sums).enumerate() {
-            let whole = (rows.len() * range(x, 0).len()) as f64 * f64::from(T::MAX);
-            out.iter_mut().zip(sum).for_each(|(o, s)| *o = (f64::from(*s) / whole) as f32);
-        }
-    });
-    texels
-}
-
-impl Texels for Mip {
+impl Texels for Mip<'_> {
     fn size(&self) -> [i64; 2] {
-        self.size
+        self.0.size.map(|n| (n / 4).max(1) as i64)
     }
     fn texel(&self, x: i64, y: i64) -> [f64; 4] {
-        self.texels[(y * self.size[0] + x) as usize].map(f64::from)
+        let (full, size) = (self.0.size, self.size().map(|n| n as usize));
+        let range = |i: usize, axis: usize| i * full[axis] / size[axis]..((i + 1) * full[axis]).div_ceil(size[axis]);
+        self.0.mean(range(x as usize, 0), range(y as usize, 1))
     }
 }
 
-/// Pages against what was uploaded.
-struct Comparison<'a> {
-    uploaded: &'a UploadedColors<'a>,
-    pages: &'a [DynamicImage],
-    page_mips: Vec<Mip>,
+/// Rows about a point within which it is compared, on pages of at least [`LEAST_SIDE`] rows.
+pub(crate) const REACH: usize = 8;
+/// See [`REACH`].
+pub(crate) const LEAST_SIDE: u32 = 64;
+
+/// Compares points of a slot as uploaded and on its pages.
+pub(crate) struct Comparison<'a> {
+    job: &'a Bake<'a>,
+    direction: Option<Direction>,
+    /// By source: its texels.
+    sources: Vec<TexelRows<'a>>,
+    /// By source: its texels by reference texel.
+    scales: Vec<DVec2>,
+    maps: &'a TexelMaps,
+}
+
+/// What a point of the surface has lost.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PointError {
+    /// By channel, the difference of encoded values.
+    differences: [f64; 4],
+    /// The largest difference at mip level 2, in 1/255.
+    mip: f64,
+    exact: bool,
+    /// Between directions, in degrees.
+    angle: Option<f64>,
 }
 
 #[derive(Default)]
@@ -269,11 +225,30 @@ struct Sums {
     angles: Vec<f64>,
 }
 
-impl Comparison<'_> {
-    fn add(&self, point: &Point, sums: &mut Sums) {
-        let UploadedColors { job, maps, .. } = self.uploaded;
-        let f = point.face as usize;
-        let Some((map, source)) = maps.with_source(f) else { return };
+impl<'a> Comparison<'a> {
+    pub(crate) fn new(job: &'a Bake<'a>, maps: &'a TexelMaps) -> Self {
+        Comparison {
+            job,
+            direction: job.slot.role.direction().filter(|_| job.channels() >= 3),
+            sources: job.sources.iter().map(|s| TexelRows::of(s.image)).collect(),
+            scales: job.sources.iter().map(source_scale).collect(),
+            maps,
+        }
+    }
+
+    /// The page that a point lies on, and its place there in 0..1.
+    pub(crate) fn place(&self, point: &Point) -> (usize, DVec2) {
+        let (after, f, w) = (self.job.after, point.face as usize, point.weights);
+        let page = usize::from(after.page[f]);
+        let sheet = after.sheets[page].map(|n| f64::from(n.max(1)));
+        let [a, b, c] = after.corners[f].map(|c| after.uv[c.index()]);
+        (page, (a * w.x + b * w.y + c * w.z) / DVec2::from(sheet))
+    }
+
+    /// What a point has lost; `rows` are those of its page, as far as [`REACH`] about it. None for a face that does not read the slot.
+    pub(crate) fn compare(&self, point: &Point, rows: &TexelRows<'_>) -> Option<PointError> {
+        let (job, f) = (self.job, point.face as usize);
+        let (map, source) = self.maps.with_source(f)?;
         let read = &job.sources[source];
         let w = point.weights;
         let mix = |c: [DVec2; 3]| c[0] * w.x + c[1] * w.y + c[2] * w.z;
@@ -281,45 +256,51 @@ impl Comparison<'_> {
         let b = origin.barycentric[0] * w.x + origin.barycentric[1] * w.y + origin.barycentric[2] * w.z;
         let [p0, p1, p2] = job.before.uv_triangle(origin.source);
         let size = DVec2::new(f64::from(read.image.width()), f64::from(read.image.height()));
-        let old_uv = (p0 * b.x + p1 * b.y + p2 * b.z - read.place) * self.uploaded.scales[source] / size;
-        let page = usize::from(job.after.page[f]);
-        let sheet = job.after.sheets[page].map(|n| f64::from(n.max(1)));
-        let new_uv = mix(job.after.corners[f].map(|c| job.after.uv[c.index()])) / DVec2::from(sheet);
+        let old_uv = (p0 * b.x + p1 * b.y + p2 * b.z - read.place) * self.scales[source] / size;
+        let new_uv = self.place(point).1;
         let clamp = [Wrap::ClampToEdge; 2];
         let channels = usize::from(job.channels());
 
-        let old = self.turned(read.image.bilinear(old_uv, read.wrap), map);
-        let new = self.pages[page].bilinear(new_uv, clamp);
-        let mip_old = self.turned(self.uploaded.mips[source].bilinear(old_uv, read.wrap), map);
-        let mip_new = self.page_mips[page].bilinear(new_uv, clamp);
+        let old = self.turned(self.sources[source].bilinear(old_uv, read.wrap), map);
+        let new = rows.bilinear(new_uv, clamp);
+        let mip_old = self.turned(Mip(self.sources[source]).bilinear(old_uv, read.wrap), map);
+        let mip_new = Mip(*rows).bilinear(new_uv, clamp);
         let mut mip = 0.0f64;
+        let mut differences = [0.0; 4];
         for c in 0..channels {
-            let d = new[c] - old[c];
-            sums.squares += d * d;
-            sums.max = sums.max.max(d.abs() * 255.0);
+            differences[c] = new[c] - old[c];
             mip = mip.max((mip_new[c] - mip_old[c]).abs() * 255.0);
         }
-        sums.values += channels as f64;
-        sums.mip_sum += mip;
-        sums.mip_max = sums.mip_max.max(mip);
-        sums.samples += 1;
-        sums.exact += u32::from(self.is_exact(map, read, page, mix(maps.corners[f])));
+        let exact = self.is_exact(map, source, rows, mix(self.maps.corners[f]));
         let vector = |v: [f64; 4]| DVec3::new(v[0], v[1], v[2]) * 2.0 - 1.0;
         let (a, b) = (vector(old), vector(new));
-        match self.uploaded.direction {
-            Some(Direction::Normal) => sums.angles.push(a.cross(b).length().atan2(a.dot(b)).to_degrees()),
+        let angle = match self.direction {
+            Some(Direction::Normal) => Some(a.cross(b).length().atan2(a.dot(b)).to_degrees()),
             // Without strength there is no direction; opposite ones are the same.
             Some(Direction::Anisotropy) if old[2] > 0.0 => {
                 let (a, b) = (a.truncate(), b.truncate());
-                sums.angles.push(a.perp_dot(b).abs().atan2(a.dot(b).abs()).to_degrees());
+                Some(a.perp_dot(b).abs().atan2(a.dot(b).abs()).to_degrees())
             }
-            _ => {}
+            _ => None,
+        };
+        Some(PointError { differences, mip, exact, angle })
+    }
+
+    /// What all points have lost, in their order.
+    pub(crate) fn sum(&self, points: &[Option<PointError>]) -> Fidelity {
+        let channels = usize::from(self.job.channels());
+        let mut all = Sums::default();
+        for chunk in points.chunks(CHUNK) {
+            let mut sums = Sums::default();
+            chunk.iter().flatten().for_each(|error| sums.add(error, channels));
+            all.join(sums);
         }
+        all.fidelity()
     }
 
     /// An encoded value of the uploaded image as it stands on the new sheet: directions turn.
     fn turned(&self, value: [f64; 4], map: &TexelMap) -> [f64; 4] {
-        if self.uploaded.direction.is_none() {
+        if self.direction.is_none() {
             return value;
         }
         let r: DMat2 = map.rotation();
@@ -329,14 +310,14 @@ impl Comparison<'_> {
     }
 
     /// Whether the texels that bilinear filtering reads at a point of a page are the uploaded ones.
-    fn is_exact(&self, map: &TexelMap, from: &Source<'_>, page: usize, point: DVec2) -> bool {
-        let (source, image) = (from.image, &self.pages[page]);
+    fn is_exact(&self, map: &TexelMap, from: usize, image: &TexelRows<'_>, point: DVec2) -> bool {
+        let (source, from) = (&self.sources[from], &self.job.sources[from]);
         let base = (point - 0.5).floor();
         let t = point - 0.5 - base;
         let read = |t: f64| [(0, 1.0 - t), (1, t)].into_iter().filter(|(_, w)| *w > WEIGHT).map(|(d, _)| d);
-        let at = |image: &DynamicImage, p: DVec2, wrap: [Wrap; 2]| {
-            let [w, h] = image.size();
-            image.texel(wrap[0].texel(p.x.floor() as i64, w), wrap[1].texel(p.y.floor() as i64, h))
+        let at = |image: &TexelRows<'_>, p: DVec2, wrap: [Wrap; 2]| {
+            let [w, h] = Texels::size(image);
+            Texels::texel(image, wrap[0].texel(p.x.floor() as i64, w), wrap[1].texel(p.y.floor() as i64, h))
         };
         let texels = read(t.y).flat_map(|dy| read(t.x).map(move |dx| base + DVec2::new(dx as f64, dy as f64) + 0.5));
         match map {
@@ -362,6 +343,19 @@ impl Comparison<'_> {
 }
 
 impl Sums {
+    fn add(&mut self, error: &PointError, channels: usize) {
+        for d in &error.differences[..channels] {
+            self.squares += d * d;
+            self.max = self.max.max(d.abs() * 255.0);
+        }
+        self.values += channels as f64;
+        self.mip_sum += error.mip;
+        self.mip_max = self.mip_max.max(error.mip);
+        self.samples += 1;
+        self.exact += u32::from(error.exact);
+        self.angles.extend(error.angle);
+    }
+
     fn join(&mut self, other: Sums) {
         self.samples += other.samples;
         self.squares += other.squares;

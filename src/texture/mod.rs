@@ -15,6 +15,7 @@ mod pixels;
 mod push_pull;
 mod sampler;
 mod slot;
+mod strips;
 mod texel_map;
 mod transfer;
 
@@ -28,6 +29,7 @@ pub use options::{Overflow, Size, Texture, TextureFormat};
 pub(crate) use pixels::from_samples;
 pub use pixels::{depth, neutral, texel, widened};
 pub use slot::{Reading, Slot};
+pub use strips::{STREAMED_FROM, Streamed, bake_jpeg};
 pub(crate) use transfer::{linear_to_srgb, srgb_to_linear};
 
 use std::fmt;

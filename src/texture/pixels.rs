@@ -1,5 +1,7 @@
 //! Images in memory: a [`DynamicImage`] of 8 or 16 bits and one to four channels, and the samples in it that filters work on.
 
+use std::ops::Range;
+
 use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb, Rgba};
 
 use super::{Direction, Role};
@@ -63,19 +65,90 @@ pub fn depth(image: &DynamicImage) -> u8 {
     (colour.bits_per_pixel() / u16::from(colour.channel_count())) as u8
 }
 
+/// Some rows of an image, whose texels are read one by one.
+#[derive(Clone, Copy)]
+pub(crate) struct TexelRows<'a> {
+    bytes: &'a [u8],
+    channels: usize,
+    is_deep: bool,
+    /// Width and height of the whole image.
+    pub(crate) size: [usize; 2],
+    /// The first of the rows.
+    top: usize,
+}
+
+impl<'a> TexelRows<'a> {
+    /// All rows of an image.
+    pub(crate) fn of(image: &'a DynamicImage) -> Self {
+        let channels = usize::from(image.color().channel_count());
+        let size = [image.width() as usize, image.height() as usize];
+        TexelRows { bytes: image.as_bytes(), channels, is_deep: depth(image) == 16, size, top: 0 }
+    }
+
+    /// The rows from `top` on of an image of that size, 8 bits a sample.
+    pub(crate) fn part(bytes: &'a [u8], channels: usize, size: [usize; 2], top: usize) -> Self {
+        TexelRows { bytes, channels, is_deep: false, size, top }
+    }
+
+    /// The samples of a texel, and 0 for the channels that the image does not have.
+    #[inline]
+    fn samples(&self, x: usize, y: usize) -> [u32; 4] {
+        let bytes = self.channels << usize::from(self.is_deep);
+        let start = ((y - self.top) * self.size[0] + x) * bytes;
+        let texel = &self.bytes[start..start + bytes];
+        let mut out = [0; 4];
+        if self.is_deep {
+            let values = texel.chunks_exact(2).map(|b| u16::from_ne_bytes([b[0], b[1]]));
+            out.iter_mut().zip(values).for_each(|(o, v)| *o = u32::from(v));
+        } else {
+            out.iter_mut().zip(texel).for_each(|(o, v)| *o = u32::from(*v));
+        }
+        out
+    }
+
+    /// The largest sample.
+    fn most(&self) -> f64 {
+        if self.is_deep { 65_535.0 } else { 255.0 }
+    }
+
+    /// The encoded values of a texel in 0..=1, and 0 for the channels that the image does not have.
+    #[inline]
+    pub(crate) fn texel(&self, x: usize, y: usize) -> [f64; 4] {
+        let most = self.most();
+        self.samples(x, y).map(|v| f64::from(v) / most)
+    }
+
+    /// The sums over a rectangle of texels of `C` channels of 8 bits.
+    fn sum<const C: usize>(&self, columns: Range<usize>, rows: Range<usize>) -> [u32; 4] {
+        let mut sum = [0; 4];
+        for y in rows {
+            let start = (y - self.top) * self.size[0];
+            for texel in self.bytes[(start + columns.start) * C..(start + columns.end) * C].chunks_exact(C) {
+                (0..C).for_each(|c| sum[c] += u32::from(texel[c]));
+            }
+        }
+        sum
+    }
+
+    /// The mean over a rectangle of texels.
+    pub(crate) fn mean(&self, columns: Range<usize>, rows: Range<usize>) -> [f64; 4] {
+        let whole = (rows.len() * columns.len()) as f64 * self.most();
+        let sum = match (self.is_deep, self.channels) {
+            (false, 1) => self.sum::<1>(columns, rows),
+            (false, 3) => self.sum::<3>(columns, rows),
+            (false, 4) => self.sum::<4>(columns, rows),
+            _ => {
+                let texels = rows.flat_map(|y| columns.clone().map(move |x| self.samples(x, y)));
+                texels.fold([0; 4], |sum, texel| std::array::from_fn(|c| sum[c] + texel[c]))
+            }
+        };
+        sum.map(|s| f64::from((f64::from(s) / whole) as f32))
+    }
+}
+
 /// The encoded values of a texel in 0..=1, and 0 for the channels that the image does not have.
 pub fn texel(image: &DynamicImage, x: u32, y: u32) -> [f64; 4] {
-    let bytes = usize::from(image.color().bytes_per_pixel());
-    let start = (y as usize * image.width() as usize + x as usize) * bytes;
-    let texel = &image.as_bytes()[start..start + bytes];
-    let mut out = [0.0; 4];
-    if depth(image) == 8 {
-        out.iter_mut().zip(texel).for_each(|(o, v)| *o = f64::from(*v) / 255.0);
-    } else {
-        let values = texel.chunks_exact(2).map(|b| u16::from_ne_bytes([b[0], b[1]]));
-        out.iter_mut().zip(values).for_each(|(o, v)| *o = f64::from(v) / 65_535.0);
-    }
-    out
+    TexelRows::of(image).texel(x as usize, y as usize)
 }
 
 /// The same picture with `channels` channels (1, 2, 3 or 4) and 8 or 16 bits, so that it can share a sheet: grey becomes RGB, alpha that is

@@ -153,29 +153,10 @@ pub(crate) fn push_pull<T: Depth, const C: usize>(
     let image = Rows::<T, C> { texels, known, width, transfer };
     let [w, h] = image.size().map(|side| side.div_ceil(2));
     let mut pyramid: Vec<Level<C>> = Vec::new();
-    let weighted = |(value, weight): Mean<C>| (value.map(|v| weight * v), weight);
     if w > 1 || h > 1 {
         pyramid.push(Level::pull(w, h, |x, y| weighted(image.first(x, y))));
     }
-    while let Some(level) = pyramid.last().filter(|l| l.width > 1 || l.height > 1) {
-        context.check()?;
-        pyramid.push(Level::pull(level.width, level.height, |x, y| weighted(level.row(y)[x])));
-    }
-    if let Some((value, weight)) = pyramid.last_mut().and_then(|top| top.texels.first_mut())
-        && *weight == 0.0
-    {
-        *value = neutral(transfer.space);
-    }
-    // Down to the second level, then the first and the image together.
-    for l in (0..pyramid.len().saturating_sub(1)).rev() {
-        context.check()?;
-        let (lower, upper) = pyramid.split_at_mut(l + 1);
-        let (Some(level), Some(above)) = (lower.last_mut(), upper.first()) else { continue };
-        let w = level.width;
-        level.texels.par_chunks_mut(w).with_min_len(ROWS).enumerate().for_each(|(y, row)| {
-            row.iter_mut().enumerate().for_each(|(x, texel)| fill(texel, || above.push(x, y)));
-        });
-    }
+    complete(&mut pyramid, transfer.space, context)?;
     context.check()?;
     // Tasks read the first level's rows at each other's ends: these are made before any task writes.
     let above = pyramid.first();
@@ -210,6 +191,173 @@ pub(crate) fn push_pull<T: Depth, const C: usize>(
         }
     });
     Ok(())
+}
+
+#[inline]
+fn weighted<const C: usize>((value, weight): Mean<C>) -> Mean<C> {
+    (value.map(|v| weight * v), weight)
+}
+
+/// Pulls up what is above the levels that are there, and pushes it down as far as the first of them.
+fn complete<const C: usize>(pyramid: &mut Vec<Level<C>>, space: Space, context: &Context) -> Result<()> {
+    while let Some(level) = pyramid.last().filter(|l| l.width > 1 || l.height > 1) {
+        context.check()?;
+        pyramid.push(Level::pull(level.width, level.height, |x, y| weighted(level.row(y)[x])));
+    }
+    if let Some((value, weight)) = pyramid.last_mut().and_then(|top| top.texels.first_mut())
+        && *weight == 0.0
+    {
+        *value = neutral(space);
+    }
+    for l in (0..pyramid.len().saturating_sub(1)).rev() {
+        context.check()?;
+        let (lower, upper) = pyramid.split_at_mut(l + 1);
+        let (Some(level), Some(above)) = (lower.last_mut(), upper.first()) else { continue };
+        let w = level.width;
+        level.texels.par_chunks_mut(w).with_min_len(ROWS).enumerate().for_each(|(y, row)| {
+            row.iter_mut().enumerate().for_each(|(x, texel)| fill(texel, || above.push(x, y)));
+        });
+    }
+    Ok(())
+}
+
+/// Rows of an image that are filled by themselves, and the halo of rows about them that this reads.
+pub(crate) struct Strip<'a, T> {
+    pub(crate) texels: &'a mut [T],
+    /// 0 where a texel is to be filled.
+    pub(crate) known: &'a [u8],
+    /// The first of the rows: a multiple of [`STRIP_STEP`]. The last one is, or is the image's last.
+    pub(crate) top: usize,
+    /// Width and height of the image.
+    pub(crate) size: [usize; 2],
+}
+
+/// Strips begin at multiples of this many rows: those of one row of the third level.
+pub(crate) const STRIP_STEP: usize = 8;
+/// Rows at the ends of a strip that are not the image's: they are read, and not filled.
+pub(crate) const UNFILLED: usize = 8;
+
+/// Some rows of one of the first levels.
+struct LevelRows<const C: usize> {
+    top: usize,
+    /// Width and height of the level.
+    size: [usize; 2],
+    texels: Vec<Mean<C>>,
+}
+
+impl<const C: usize> LevelRows<C> {
+    /// Those over `rows` of the level below.
+    fn pull(size_below: [usize; 2], rows: std::ops::Range<usize>, below: impl Fn(usize, usize) -> Mean<C>) -> Self {
+        let size = size_below.map(|side| side.div_ceil(2));
+        let own = rows.start / 2..rows.end.div_ceil(2);
+        let mut texels = vec![([0.0; C], 0.0); own.len() * size[0]];
+        for (row, y) in texels.chunks_exact_mut(size[0]).zip(own.clone()) {
+            row.iter_mut().enumerate().for_each(|(x, texel)| *texel = mean(size_below, x, y, &below));
+        }
+        LevelRows { top: own.start, size, texels }
+    }
+
+    fn rows(&self) -> std::ops::Range<usize> {
+        self.top..self.top + self.texels.len() / self.size[0]
+    }
+
+    fn row(&self, y: usize) -> &[Mean<C>] {
+        &self.texels[(y - self.top) * self.size[0]..(y - self.top + 1) * self.size[0]]
+    }
+
+    /// The nearer and the farther row of this level about row `y` of the level below, where both are at hand.
+    fn about(&self, y: usize) -> Option<[&[Mean<C>]; 2]> {
+        let rows = [y / 2, other(y, self.size[1])];
+        rows.iter().all(|y| self.rows().contains(y)).then(|| rows.map(|y| self.row(y)))
+    }
+}
+
+impl<T: Depth> Strip<'_, T> {
+    /// Its rows of the first and the second level.
+    fn levels<const C: usize>(&self, transfer: &Transfer<T>) -> [LevelRows<C>; 2] {
+        let width = self.size[0];
+        let first = LevelRows::pull(self.size, self.top..self.top + self.known.len() / width, |x, y| {
+            let i = (y - self.top) * width + x;
+            match self.known[i] {
+                0 => ([0.0; C], 0.0),
+                _ => (transfer.decode::<C>(&self.texels[i * C..(i + 1) * C]), 1.0),
+            }
+        });
+        let second = LevelRows::pull(first.size, first.rows(), |x, y| weighted(first.row(y)[x]));
+        [first, second]
+    }
+
+    /// Its rows of the third level.
+    fn third<const C: usize>(&self, transfer: &Transfer<T>) -> Vec<Mean<C>> {
+        let [_, second] = self.levels::<C>(transfer);
+        LevelRows::pull(second.size, second.rows(), |x, y| weighted(second.row(y)[x])).texels
+    }
+}
+
+/// The pyramid of an image that is never held: from the third level on, a sixty-fourth of its texels.
+pub(crate) struct StripFill<const C: usize> {
+    third: Level<C>,
+}
+
+/// What a strip adds to the pyramid: its rows of the third level.
+pub(crate) struct Pulled<const C: usize>(Vec<Mean<C>>);
+
+impl<const C: usize> StripFill<C> {
+    /// What one of the strips that make up the image adds; without a halo.
+    pub(crate) fn pull<T: Depth>(strip: &Strip<'_, T>, transfer: &Transfer<T>) -> Pulled<C> {
+        Pulled(strip.third(transfer))
+    }
+
+    /// The pyramid over all strips, in their order.
+    pub(crate) fn new(
+        size: [usize; 2],
+        strips: impl Iterator<Item = Pulled<C>>,
+        space: Space,
+        context: &Context,
+    ) -> Result<Self> {
+        let [width, height] = size.map(|side| side.div_ceil(STRIP_STEP));
+        let mut texels = Vec::with_capacity(width * height);
+        strips.for_each(|Pulled(rows)| texels.extend(rows));
+        let mut pyramid = vec![Level { width, height, texels }];
+        complete(&mut pyramid, space, context)?;
+        Ok(StripFill { third: pyramid.swap_remove(0) })
+    }
+
+    /// Fills a strip but for its ends, as [`push_pull`] fills the whole image.
+    pub(crate) fn fill<T: Depth>(&self, strip: &mut Strip<'_, T>, transfer: &Transfer<T>) {
+        if !strip.known.contains(&0) {
+            return;
+        }
+        let [mut first, mut second] = strip.levels::<C>(transfer);
+        for y in second.rows() {
+            let (start, width) = ((y - second.top) * second.size[0], second.size[0]);
+            let row = &mut second.texels[start..start + width];
+            row.iter_mut().enumerate().for_each(|(x, texel)| fill(texel, || self.third.push(x, y)));
+        }
+        for y in first.rows() {
+            let Some([near, far]) = second.about(y) else { continue };
+            let (start, width) = ((y - first.top) * first.size[0], first.size[0]);
+            let row = &mut first.texels[start..start + width];
+            row.iter_mut().enumerate().for_each(|(x, texel)| fill(texel, || push(near, far, x)));
+        }
+        let [width, height] = strip.size;
+        let rows = strip.top..strip.top + strip.known.len() / width;
+        let filled = if rows.start == 0 { 0 } else { rows.start + UNFILLED }..if rows.end == height {
+            height
+        } else {
+            rows.end.saturating_sub(UNFILLED)
+        };
+        for y in filled {
+            let Some([near, far]) = first.about(y) else { continue };
+            let start = (y - strip.top) * width;
+            let texels = strip.texels[start * C..(start + width) * C].chunks_exact_mut(C);
+            for (x, (texel, known)) in texels.zip(&strip.known[start..start + width]).enumerate() {
+                if *known == 0 {
+                    transfer.encode::<C>(push(near, far, x), texel);
+                }
+            }
+        }
+    }
 }
 
 /// What stands where nothing is known.
@@ -282,6 +430,37 @@ mod tests {
             push_pull::<u16, 1>(&mut texels, &known, w, &transfer, &Context::silent()).unwrap();
             for (i, (texel, expected)) in texels.iter().zip(expected).enumerate() {
                 assert!((f32::from(*texel) - expected).abs() <= 1.0, "{i} of {w} x {h}: {texel}, not {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_image_that_is_filled_by_strips_is_what_it_is_as_a_whole() {
+        for (w, h) in [(16, 16), (17, 64), (33, 129), (40, 200), (16, 43)] {
+            for part in [5, 97, 100_000] {
+                let known: Vec<u8> = (0..w * h).map(|i| u8::from(i * 7919 % part == 0)).collect();
+                let texels: Vec<u8> = (0..w * h * 3).map(|i| (i * 40_503 % 253) as u8).collect();
+                let transfer = Transfer::<u8>::new(Space::Srgb);
+                let context = Context::silent();
+                let mut whole = texels.clone();
+                push_pull::<u8, 3>(&mut whole, &known, w, &transfer, &context).unwrap();
+                let cut = |rows: std::ops::Range<usize>| {
+                    (texels[rows.start * w * 3..rows.end * w * 3].to_vec(), &known[rows.start * w..rows.end * w])
+                };
+                let strips = || (0..h).step_by(24).map(|top| top..(top + 24).min(h));
+                let pulled = strips().map(|rows| {
+                    let (mut texels, known) = cut(rows.clone());
+                    let strip = Strip { texels: &mut texels, known, top: rows.start, size: [w, h] };
+                    StripFill::<3>::pull(&strip, &transfer)
+                });
+                let fill = StripFill::new([w, h], pulled, transfer.space, &context).unwrap();
+                for rows in strips() {
+                    let halo = rows.start.saturating_sub(UNFILLED)..(rows.end + UNFILLED).min(h);
+                    let (mut texels, known) = cut(halo.clone());
+                    fill.fill(&mut Strip { texels: &mut texels, known, top: halo.start, size: [w, h] }, &transfer);
+                    let own = (rows.start - halo.start) * w * 3..(rows.end - halo.start) * w * 3;
+                    assert_eq!(texels[own], whole[rows.start * w * 3..rows.end * w * 3], "{rows:?} of {w} x {h}");
+                }
             }
         }
     }

@@ -3,6 +3,7 @@
 mod density;
 mod directions;
 mod scans;
+mod strips;
 
 use glam::{DMat2, DVec2, DVec3};
 use image::DynamicImage;

@@ -35,6 +35,8 @@ pub struct Demand {
     pub bakes: bool,
     /// Whether surfaces are cut and flattened, those without a layout too.
     pub unwraps: bool,
+    /// Whether charts only move, by whole texels, and the format of their images stays: no page of a JPEG is held then.
+    pub copies: bool,
 }
 
 /// Estimates what a refinement of `model` (its name, and where it is on the disk), with the `files` that it may name, will hold in

@@ -9,7 +9,7 @@ use std::num::Saturating;
 use super::super::limits::Limits;
 use super::{Demand, Estimate};
 use crate::error::{Code, Failure, Result};
-use crate::texture::{Format, Header};
+use crate::texture::{Format, Header, STREAMED_FROM};
 
 /// What a process takes before it reads anything.
 const PROCESS: f64 = 19e6;
@@ -27,6 +27,9 @@ const UNWRAPPED: f64 = 2600.0;
 const CUTTING: f64 = 30e6;
 /// Texels that a thread bakes at a time, and what it holds of each: owner, distance, and what fits it to the uploaded image.
 const BAND: (u64, f64) = (1 << 18, 40.0);
+/// Of a page that is never held: texels of its pyramid by texel of the page, and what a thread holds of strips.
+const THIRD_LEVEL: f64 = 4.0 / 3.0 / 64.0;
+const STRIPS: f64 = 36e6;
 /// Texels of the refined pages, of those of the upload: at most so many; where the area of the charts is known, that area times the second
 /// number and the third.
 const PAGE: (f64, f64, f64) = (0.95, 2.1, 0.12);
@@ -104,7 +107,7 @@ impl Sum {
             let bakes = demand.bakes && self.has_layout;
             let images = || self.images.iter().filter(|_| bakes);
             let page = self.page(demand);
-            let baking = images().map(|(header, _)| self.baking(*header, page, threads)).fold(0.0, f64::max);
+            let baking = images().map(|(header, _)| self.baking(*header, page, threads, demand)).fold(0.0, f64::max);
             // An image is decoded while surfaces are unwrapped.
             let decoded = images().map(|(header, _)| samples(*header)).fold(0.0, f64::max);
             let unwrapping = if demand.unwraps { CUTTING + UNWRAPPED * surface + decoded } else { 0.0 };
@@ -133,12 +136,20 @@ impl Sum {
 
     /// What baking one image takes: the image, its page with a byte of state for each texel, the pyramid that fills the page (a twelfth as many
     /// texels, of floats and a weight, and some rows), and the bands of the threads.
-    fn baking(&self, header: Header, page: f64, threads: usize) -> f64 {
+    fn baking(&self, header: Header, page: f64, threads: usize, demand: Demand) -> f64 {
         let (count, channels) = (texels(header), f64::from(header.channels));
         let page = page * count as f64;
         let bands = (count / BAND.0).clamp(1, threads.max(1) as u64) * BAND.0;
         let band = BAND.1 * bands.min(count) as f64;
-        samples(header) + page * (texel_bytes(header) + 1.0 + PYRAMID * (channels + 1.0)) + band
+        let held_texel = texel_bytes(header) + 1.0 + PYRAMID * (channels + 1.0);
+        // Images of another size than the largest may have no texels that charts move by.
+        let largest = self.images.iter().all(|(other, _)| texels(*other) <= count);
+        if demand.copies && !self.is_unmeasured && largest && header.format == Format::Jpeg {
+            let strips = page * THIRD_LEVEL * 4.0 * (channels + 1.0) + STRIPS * threads.max(1) as f64;
+            let held = page.min(STREAMED_FROM as f64) * held_texel;
+            return samples(header) + if page < STREAMED_FROM as f64 { held + band } else { held.max(strips) };
+        }
+        samples(header) + page * held_texel + band
     }
 }
 

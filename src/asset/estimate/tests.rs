@@ -1,6 +1,7 @@
 //! Estimates of the samples, of every container, and of files that lie.
 
 use std::io::Write;
+use std::num::Saturating;
 use std::path::PathBuf;
 
 use serde_json::{Value, json};
@@ -9,10 +10,10 @@ use tempfile::TempDir;
 use super::super::fixture::png;
 use super::super::{File, glb, load, sample};
 use super::*;
-use crate::texture::decode;
+use crate::texture::{Format, Header, decode};
 
 /// What `pack` does.
-const PACKS: Demand = Demand { bakes: true, unwraps: false };
+const PACKS: Demand = Demand { bakes: true, unwraps: false, copies: false };
 
 /// Stores files under numbers, as uploads are, and estimates the first with the others.
 fn of(files: &[(&str, &[u8])], limits: &Limits) -> Result<Estimate> {
@@ -255,7 +256,7 @@ fn what_the_recipe_does_counts() {
         estimate(("m.gltf", &at), &[("a.png", &beside)], &Limits::default(), 2, demand).unwrap().bytes
     };
     let (plain, bare) = (json!({ "POSITION": 0, "TEXCOORD_0": 0 }), json!({ "POSITION": 0 }));
-    let demand = |bakes, unwraps| Demand { bakes, unwraps };
+    let demand = |bakes, unwraps| Demand { bakes, unwraps, copies: false };
     let texels = 3 * 8192 * 8192;
     // Cutting and flattening takes some thousand bytes of each triangle, with a layout or without.
     assert!(of(bare.clone(), demand(false, true)) > of(bare, demand(false, false)) + 3_000 * 100_000);
@@ -264,6 +265,21 @@ fn what_the_recipe_does_counts() {
     assert!(of(plain.clone(), demand(true, false)) > of(plain.clone(), demand(false, false)) + texels);
     assert!(of(plain.clone(), demand(false, true)) < 19_000_000 + 4_000 * 100_000 + texels);
     assert!(of(plain.clone(), demand(true, true)) > of(plain, demand(false, true)) + texels);
+}
+
+/// Pages of a JPEG whose texels are only moved are not held.
+#[test]
+fn a_large_jpeg_whose_charts_only_move_needs_little_more_than_itself() {
+    let header = |format| Header { width: 16_384, height: 16_384, channels: 3, depth: 8, format };
+    let bytes = |format, copies| {
+        let mut sum = Sum::default();
+        (sum.triangles, sum.has_layout, sum.covered) = (Saturating(1000), true, 0.7);
+        sum.image(header(format), 10_000_000, &Limits::default());
+        sum.estimate(&Limits::default(), 2, Demand { copies, ..PACKS }).bytes
+    };
+    let decoded = 3 * 16_384 * 16_384;
+    assert!((decoded..decoded + 300_000_000).contains(&bytes(Format::Jpeg, true)), "{}", bytes(Format::Jpeg, true));
+    assert!(bytes(Format::Jpeg, false) > 2 * decoded && bytes(Format::Png, true) > 2 * decoded);
 }
 
 #[test]

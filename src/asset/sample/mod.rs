@@ -5,12 +5,14 @@ mod lumpy;
 mod paint;
 mod parts;
 mod random;
+mod scaled;
 mod scan;
 mod scene;
 mod surface;
 
 use crate::error::{Code, Failure, Result};
 use crate::params::near_or_all;
+pub use scaled::SampleTextures;
 
 type Maker = fn() -> scene::Scene;
 
@@ -68,10 +70,20 @@ pub fn names() -> &'static [&'static str] {
 /// # Errors
 /// `invalid_options` when there is no sample of that name.
 pub fn sample(name: &str) -> Result<Vec<u8>> {
+    sample_with(name, SampleTextures::default())
+}
+
+/// [`sample`] with its textures made larger or smaller, or written as JPEG.
+///
+/// # Errors
+/// As [`sample`].
+pub fn sample_with(name: &str, textures: SampleTextures) -> Result<Vec<u8>> {
     let maker = SAMPLES.iter().find(|(n, _)| *n == name).map(|(_, maker)| maker).ok_or_else(|| {
         Failure::new(Code::InvalidOptions, format!("no sample is called `{name}`; {}", near_or_all(name, names())))
     })?;
-    maker().document.to_glb()
+    let mut document = maker().document;
+    textures.apply(&mut document)?;
+    document.to_glb()
 }
 
 #[cfg(test)]

@@ -36,6 +36,21 @@ fn accessor(doc: &Document, primitive: usize, name: &str) -> usize {
 }
 
 #[test]
+fn textures_are_made_as_large_as_wanted() {
+    for (side, jpeg) in [(Some(300), true), (Some(4096), false), (None, true)] {
+        let bytes = sample_with("textured", SampleTextures { side, jpeg }).unwrap();
+        let (doc, _) = load(&[File { path: "m.glb".to_owned(), bytes }], None, &Limits::default()).unwrap();
+        let header = crate::texture::header(doc.images[0].as_ref().unwrap()).unwrap();
+        let format = if jpeg { crate::texture::Format::Jpeg } else { crate::texture::Format::Png };
+        assert!(
+            header.format == format && side.is_none_or(|side| header.width.max(header.height) == side),
+            "{header:?}"
+        );
+        assert_eq!(doc.json["images"][0]["mimeType"], format.media_type());
+    }
+}
+
+#[test]
 fn every_sample_is_made_and_read_back() {
     for name in names() {
         // The larger scans are the smallest once more.
