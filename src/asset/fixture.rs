@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 
 use super::document::Merging;
 use super::{ARRAY_BUFFER, Document, RawAccessor};
-use crate::texture::{Alpha, Format, Header, Role, Wrap, encode};
+use crate::texture::{Alpha, Coding, Format, Header, Role, Wrap, encode};
 use crate::texture::{Reading, Slot};
 
 /// A base-colour slot that repeats.
@@ -15,6 +15,7 @@ pub(crate) fn slot(image: usize, size: [u32; 2]) -> Slot {
         role: Role::BaseColor,
         name: "base_color".to_owned(),
         header: Header { width: size[0], height: size[1], channels: 3, depth: 8, format: Format::Png },
+        block: 1,
         readings: vec![Reading { wrap: [Wrap::Repeat; 2], primitives: vec![0] }],
         mipmaps: true,
         alpha: Alpha::Opaque,
@@ -25,7 +26,7 @@ pub(crate) fn slot(image: usize, size: [u32; 2]) -> Slot {
 
 /// A PNG of one colour.
 pub(crate) fn png(width: u32, height: u32) -> Vec<u8> {
-    encode(&RgbImage::from_pixel(width, height, Rgb([100; 3])).into(), Format::Png, 90).unwrap()
+    encode(&RgbImage::from_pixel(width, height, Rgb([100; 3])).into(), &Coding::Png).unwrap()
 }
 
 /// A document without meshes: images of the sizes given, a texture for each, a material "m" that reads texture 0

@@ -88,6 +88,6 @@ pub(super) fn health() -> Value {
 pub(super) fn invalid_options() -> Value {
     json!(super::problem::Problem::options(vec![crate::params::Problem::new(
         "/pack/grid",
-        "`grid` is 65, outside 1..=64"
+        "must be \"auto\" or a whole number in 1..=64"
     )]))
 }

@@ -32,7 +32,7 @@ pub(crate) use greedy::{Plan, StripLayout, greedy};
 pub use guided::InitialLayout;
 pub(crate) use mask::Mask;
 pub(crate) use occupancy::{Pitch, Probe};
-pub use options::{Gutter, Pack, PackSearch, Rotation};
+pub use options::{Grid, Gutter, Pack, PackSearch, Rotation};
 pub use orientation::Orientation;
 pub(crate) use orientation::{l1_norm, quarter_turns};
 pub(crate) use outline::fill;

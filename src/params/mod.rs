@@ -4,6 +4,7 @@
 //! what JSON is held against, what the schema tells as `minimum` and `maximum`, and what the documentation says.
 
 mod read;
+mod word_or_number;
 mod words;
 
 use std::fmt::Debug;
@@ -14,6 +15,7 @@ use utoipa::ToSchema;
 
 pub use read::{Problem, out_of_range};
 pub(crate) use read::{keys, section, typed, unknown};
+pub(crate) use word_or_number::word_or_number;
 pub(crate) use words::{child, kind, listed, short};
 pub use words::{near_or_all, nearest};
 

@@ -5,11 +5,10 @@ use image::{ColorType, DynamicImage};
 use crate::context::Context;
 use crate::error::Warning;
 use crate::texture::Slot;
-use crate::texture::TextureFormat;
-use crate::texture::{Format, WEBP_SIDE};
+use crate::texture::{Coding, Format, JpegCoding, JpegQuality, Texture, TextureFormat, WEBP_SIDE};
 
 /// An uploaded file that a slot is read from.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Upload {
     /// Container.
     pub format: Format,
@@ -17,6 +16,8 @@ pub(super) struct Upload {
     pub lossy: bool,
     /// Size of the file.
     pub bytes: u64,
+    /// How it was encoded, of a JPEG.
+    pub jpeg: Option<JpegCoding>,
 }
 
 impl Upload {
@@ -50,35 +51,54 @@ impl PageKind {
 pub(super) struct Plan<'a> {
     slot: &'a Slot,
     uploads: Vec<Upload>,
-    /// Format of every page that it can hold.
-    wanted: Format,
+    /// Format of every page that it can hold, and how it is encoded.
+    wanted: Coding,
     /// Whether the format of the upload was to be kept.
     keep: bool,
 }
 
 impl<'a> Plan<'a> {
     /// A slot that is read from `uploads`.
-    pub(super) fn new(slot: &'a Slot, uploads: Vec<Upload>, format: TextureFormat) -> Self {
-        let wanted = match format {
+    pub(super) fn new(slot: &'a Slot, uploads: Vec<Upload>, options: &Texture) -> Self {
+        let format = match options.format {
             TextureFormat::Keep if uploads.iter().any(|u| u.replaced().is_some()) => Format::Png,
             TextureFormat::Keep => slot.header.format,
             TextureFormat::Png => Format::Png,
             TextureFormat::Jpeg => Format::Jpeg,
             TextureFormat::Webp => Format::Webp,
         };
-        Plan { slot, uploads, wanted, keep: format == TextureFormat::Keep }
+        let jpeg = || match options.jpeg_quality {
+            JpegQuality::Quality(quality) => JpegCoding::of_quality(quality),
+            JpegQuality::Keep => {
+                uploads.iter().filter_map(|u| u.jpeg.clone()).reduce(JpegCoding::finer).unwrap_or_default()
+            }
+        };
+        let wanted = match format {
+            Format::Jpeg => Coding::Jpeg(jpeg()),
+            Format::Webp => Coding::Webp,
+            Format::Png | Format::Ktx2 => Coding::Png,
+        };
+        Plan { slot, uploads, wanted, keep: options.format == TextureFormat::Keep }
     }
 
     /// The format of a page: PNG where the one that is wanted cannot hold it.
-    pub(super) fn of(&self, page: PageKind) -> Format {
-        if self.obstacle(page).is_some() { Format::Png } else { self.wanted }
+    pub(super) fn of(&self, page: PageKind) -> &Coding {
+        if self.obstacle(page).is_some() { &Coding::Png } else { &self.wanted }
+    }
+
+    /// How all pages are encoded, if they are JPEG files.
+    pub(super) fn jpeg(&self, pages: &[PageKind]) -> Option<&JpegCoding> {
+        match &self.wanted {
+            Coding::Jpeg(coding) if pages.iter().all(|page| self.obstacle(*page).is_none()) => Some(coding),
+            _ => None,
+        }
     }
 
     /// What the wanted format cannot hold.
     fn obstacle(&self, page: PageKind) -> Option<&'static str> {
         let PageKind { colour, size: [width, height] } = page;
         let deep = colour.bytes_per_pixel() > colour.channel_count();
-        match self.wanted {
+        match self.wanted.format() {
             Format::Jpeg if deep || colour.has_alpha() => Some("alpha or 16 bits, which JPEG cannot hold"),
             Format::Webp if deep => Some("16 bits, which WebP cannot hold"),
             Format::Webp if width.max(height) > WEBP_SIDE => Some("a side that is too long for WebP"),
@@ -95,7 +115,7 @@ impl<'a> Plan<'a> {
         if let Some(obstacle) = pages.iter().find_map(|page| self.obstacle(*page)) {
             warn("kept_png", format!("{name} has {obstacle}: it is written as PNG"));
         }
-        if self.uploads.iter().any(|u| u.lossy) && pages.iter().any(|page| self.of(*page) == Format::Jpeg) {
+        if self.uploads.iter().any(|u| u.lossy) && pages.iter().any(|page| self.of(*page).format() == Format::Jpeg) {
             let text =
                 "was compressed with a loss and is compressed once more (set texture.format to \"png\" to avoid that)";
             warn("lossy_reencode", format!("{name} {text}"));
@@ -122,13 +142,17 @@ mod tests {
         }
     }
 
+    fn to(format: TextureFormat) -> Texture {
+        Texture { format, ..Texture::default() }
+    }
+
     /// The format that a page becomes, and the codes of the warnings.
     fn written(uploaded: Format, lossy: bool, wanted: TextureFormat, page: DynamicImage) -> (Format, Vec<String>) {
         let mut slot = fixture::slot(0, [8, 8]);
         slot.header.format = uploaded;
-        let plan = Plan::new(&slot, vec![Upload { format: uploaded, lossy, bytes: 100 }], wanted);
+        let plan = Plan::new(&slot, vec![Upload { format: uploaded, lossy, bytes: 100, jpeg: None }], &to(wanted));
         let context = Context::silent();
-        let format = plan.of(PageKind::of(&page));
+        let format = plan.of(PageKind::of(&page)).format();
         plan.warn(&[PageKind::of(&page)], 250, &context);
         (format, context.warnings().into_iter().map(|w| w.code).collect())
     }
@@ -168,10 +192,10 @@ mod tests {
     fn the_bytes_before_and_after_are_named() {
         // Of two models that share a sheet, one brings what is not written.
         let slot = fixture::slot(0, [8, 8]);
-        let upload = |format, lossy, bytes| Upload { format, lossy, bytes };
+        let upload = |format, lossy, bytes| Upload { format, lossy, bytes, jpeg: None };
         let uploads = vec![upload(Format::Png, false, 70), upload(Format::Ktx2, true, 31)];
         let context = Context::silent();
-        Plan::new(&slot, uploads, TextureFormat::Keep).warn(&[PageKind::of(&page(3, false, 8))], 250, &context);
+        Plan::new(&slot, uploads, &to(TextureFormat::Keep)).warn(&[PageKind::of(&page(3, false, 8))], 250, &context);
         let warning = context.warnings().remove(0);
         assert!(warning.message.contains("101 bytes") && warning.message.contains("250 bytes"), "{}", warning.message);
         assert_eq!((warning.code.as_str(), warning.pointer.as_deref()), ("reencoded_png", Some("/images/0")));

@@ -283,6 +283,7 @@ fn join_slots(members: &mut [Member], reference: [u32; 2]) -> Vec<Slot> {
             role,
             name,
             header,
+            block: all().map(|(_, s)| s.block).max().unwrap_or(1),
             readings: Vec::new(),
             mipmaps: all().any(|(_, s)| s.mipmaps),
             alpha: common_alpha(&all().map(|(_, s)| s.alpha).collect::<Vec<_>>()),

@@ -13,11 +13,13 @@ use crate::atlas::{
 };
 use crate::error::{Code, Failure, Result, Warning};
 use crate::packing::{self, InitialLayout, Packing, Piece, Request, Rounding, Spacing};
-use crate::packing::{Pack, Rotation};
-use crate::texture::{Overflow, Size};
+use crate::packing::{Grid, Pack, Rotation};
+use crate::texture::{Overflow, Size, TextureFormat};
 
 /// Quarter-turned charts of mipmapped textures keep to multiples of this many texels, so that mip levels 1 and 2 stay as they were.
 const MIP_LATTICE: u32 = 4;
+/// Of the charts' area, what may be spent to keep the blocks of JPEG files whole.
+const BLOCKS_COST: f64 = 0.02;
 
 impl Stage for Pack {
     const NAME: &'static str = "pack";
@@ -117,8 +119,40 @@ fn piece(atlas: &Atlas, topology: &Topology, charts: &Charts, own: &[ChartId]) -
     piece
 }
 
-/// What the options and the slots' sizes ask of packing.
-fn spacing(sheet_info: &SheetInfo, pack: &Pack, scaled: bool) -> Spacing {
+/// Steps that charts move by, in texels of the smallest slot. Of the blocks of JPEG files, or of a half where chroma has half the
+/// resolution, those that cost little: a chart that keeps to steps of n texels takes about n / 2 more of them on either axis.
+fn grid(sheet_info: &SheetInfo, options: &Options, pieces: &[Piece]) -> u32 {
+    let fine = match options.pack.grid {
+        Grid::Texels(n) => return n,
+        Grid::Auto if sheet_info.mipmaps && !sheet_info.is_virtual => {
+            MIP_LATTICE.min(sheet_info.gutter(&options.pack).max(1))
+        }
+        Grid::Auto => 1,
+    };
+    if !matches!(options.texture.format, TextureFormat::Keep | TextureFormat::Jpeg) {
+        return fine;
+    }
+    let unit = f64::from(sheet_info.unit);
+    let (max, _) = sides(sheet_info, options);
+    let (mut area, mut around, mut longest) = (0.0, 0.0, 0.0f64);
+    for piece in pieces {
+        let corners = || piece.triangles.iter().flatten();
+        let low = corners().fold(DVec2::INFINITY, |low, p| low.min(*p));
+        let high = corners().fold(DVec2::NEG_INFINITY, |high, p| high.max(*p));
+        let extent = (high - low).max(DVec2::ZERO);
+        area += piece.area;
+        around += extent.element_sum();
+        longest = longest.max(extent.max_element());
+    }
+    let cheap = |n: u32| {
+        let step = f64::from(n - fine) * unit;
+        n > fine && around * step / 2.0 <= BLOCKS_COST * area && longest + 4.0 * f64::from(n) * unit <= max
+    };
+    [sheet_info.block, sheet_info.block / 2].into_iter().find(|n| *n >= 8 && cheap(*n)).unwrap_or(fine)
+}
+
+/// What the options and the slots' sizes ask of packing; charts move by `grid` texels of the smallest slot.
+fn spacing(sheet_info: &SheetInfo, pack: &Pack, grid: u32, scaled: bool) -> Spacing {
     let unit = f64::from(sheet_info.unit);
     let gutter = f64::from(sheet_info.gutter(pack)) * unit;
     let margin = if gutter > 0.0 { (gutter / unit / 2.0).ceil().max(1.0) * unit } else { 0.0 };
@@ -126,9 +160,9 @@ fn spacing(sheet_info: &SheetInfo, pack: &Pack, scaled: bool) -> Spacing {
         return Spacing { gutter, margin, lattice: None, unit };
     }
     let steps = if sheet_info.mipmaps && !sheet_info.is_virtual {
-        pack.grid.max(MIP_LATTICE.min(sheet_info.gutter(pack).max(1)))
+        grid.max(MIP_LATTICE.min(sheet_info.gutter(pack).max(1)))
     } else {
-        pack.grid
+        grid
     };
     // Cells divide the lattice by a power of two: an odd factor goes into the cell.
     let twos = 1 << steps.trailing_zeros().min(6);
@@ -157,7 +191,8 @@ pub(super) fn largest_chart(sheet_info: &SheetInfo, options: &Options) -> Option
         return None;
     }
     let (max, round) = sides(sheet_info, options);
-    let Spacing { gutter, margin, lattice, unit } = spacing(sheet_info, &options.pack, false);
+    let grid = grid(sheet_info, options, &[]);
+    let Spacing { gutter, margin, lattice, unit } = spacing(sheet_info, &options.pack, grid, false);
     let lost = 2.0 * (margin.max(gutter) + lattice.unwrap_or(unit));
     let [width, height] = largest_sheet(max, round, options.pack.aspect).map(|side| side - lost);
     Some([width.max(height), width.min(height)])
@@ -171,7 +206,7 @@ fn place(pieces: &[Piece], input: &StageInput<'_>, starts: &[InitialLayout], eff
         pieces,
         rotation: options.pack.rotation,
         mirror: options.pack.mirror,
-        spacing: spacing(sheet_info, &options.pack, false),
+        spacing: spacing(sheet_info, &options.pack, grid(sheet_info, options, pieces), false),
         aspect: options.pack.aspect,
         max: [max; 2],
         round,
@@ -182,7 +217,7 @@ fn place(pieces: &[Piece], input: &StageInput<'_>, starts: &[InitialLayout], eff
         effort,
     };
     let fitted = |sheet: [f64; 2], largest: f64| -> Result<Packing> {
-        let request = Request { spacing: spacing(sheet_info, &options.pack, true), ..request.clone() };
+        let request = Request { spacing: spacing(sheet_info, &options.pack, 1, true), ..request.clone() };
         match packing::pack_into(&request, sheet, largest, context)? {
             Some(fitted) => Ok(fitted.packing),
             None => {

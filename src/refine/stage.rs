@@ -98,6 +98,8 @@ pub struct SheetInfo {
     pub mipmaps: bool,
     /// Whether there are no images at all.
     pub is_virtual: bool,
+    /// Side of the blocks that files are encoded by, the largest of all slots, in texels of the smallest slot; 1 where there are none.
+    pub block: u32,
     /// Whether any primitive is skinned or morphed, or so far from the origin that 32 bits hold no points between its vertices: it is better cut along edges.
     pub along_edges: bool,
     /// Whether any image holds directions, which mirroring turns round.
@@ -127,10 +129,12 @@ impl SheetInfo {
             Some([x, y]) if x.max(y) <= 64 && x.max(y) % x.min(y).max(1) == 0 => x.max(y).max(smallest),
             _ => smallest,
         };
+        let block = slots().map(|slot| (slot.block * ratio(slot)).div_ceil(unit)).max().unwrap_or(1);
         SheetInfo {
             id: set.id,
             reference: set.reference,
             unit,
+            block,
             mipmaps: slots().any(|s| s.mipmaps),
             is_virtual: set.slots.is_empty(),
             along_edges: set.primitives.iter().any(|p| p.along_edges),
@@ -162,6 +166,7 @@ impl SheetInfo {
             id: 0,
             reference: [100, 100],
             unit: 1,
+            block: 1,
             mipmaps: false,
             is_virtual: true,
             along_edges: false,

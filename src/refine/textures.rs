@@ -14,7 +14,7 @@ use crate::texture::Slot;
 use crate::texture::Texture;
 use crate::texture::{
     Alpha, Bake, Baked, Direction, FIDELITY_SAMPLES, Fidelity, Format, Role, STREAMED_FROM, Source, Streamed,
-    UploadedColors, Wrap, bake, bake_jpeg, decode, encode, is_lossy, neutral, page_size, texel, widened,
+    UploadedColors, Wrap, bake, bake_jpeg, decode, encode, is_lossy, jpeg_coding, neutral, page_size, texel, widened,
 };
 
 /// Texels about each chart that are taken from the uploaded image: enough for mip levels 0 to 2.
@@ -168,9 +168,9 @@ fn bake_slot(
     let uploads = group.sources(index).filter_map(|(member, own)| {
         let file = uploaded(loaded, member, own)?;
         let format = member.set.slots[own].header.format;
-        Some(Upload { format, lossy: is_lossy(file), bytes: file.len() as u64 })
+        Some(Upload { format, lossy: is_lossy(file), bytes: file.len() as u64, jpeg: jpeg_coding(file) })
     });
-    let plan = Plan::new(slot, uploads.collect(), options.format);
+    let plan = Plan::new(slot, uploads.collect(), options);
     // By source: its readers with equal wrap modes.
     let readers: Vec<Vec<([Wrap; 2], Vec<u32>)>> = group
         .sources(index)
@@ -203,8 +203,8 @@ fn bake_slot(
     let kinds: Vec<PageKind> = (0..after.sheets.len()).map(kind).collect();
     let texels: u64 = kinds.iter().map(|kind| u64::from(kind.size[0]) * u64::from(kind.size[1])).sum();
     if texels >= STREAMED_FROM
-        && kinds.iter().all(|kind| plan.of(*kind) == Format::Jpeg)
-        && let Some(streamed) = bake_jpeg(&job, options.jpeg_quality, FIDELITY_SAMPLES, context)?
+        && let Some(coding) = plan.jpeg(&kinds)
+        && let Some(streamed) = bake_jpeg(&job, coding, FIDELITY_SAMPLES, context)?
     {
         let file = |(size, bytes)| BakedFile { size, format: Format::Jpeg, bytes };
         let files: Vec<BakedFile> = streamed.files.into_iter().map(file).collect();
@@ -223,9 +223,9 @@ fn bake_slot(
             pages
                 .iter()
                 .map(|page| {
-                    let format = plan.of(PageKind::of(page));
-                    let bytes = encode(page, format, options.jpeg_quality)?;
-                    Ok(BakedFile { size: [page.width(), page.height()], format, bytes })
+                    let coding = plan.of(PageKind::of(page));
+                    let bytes = encode(page, coding)?;
+                    Ok(BakedFile { size: [page.width(), page.height()], format: coding.format(), bytes })
                 })
                 .collect::<Result<Vec<_>>>()
         },

@@ -3,31 +3,52 @@
 use image::DynamicImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::codecs::webp::WebPEncoder;
-use jpeg_encoder::{JpegColorType, SamplingFactor};
+use jpeg_encoder::JpegColorType;
 
+use super::jpeg_coding::JpegCoding;
 use super::pixels::Depth;
 use super::{Format, depth};
 use crate::error::{Failure, Result};
 
-/// JPEG quality from which chroma keeps its full resolution.
-const FULL_CHROMA: u8 = 90;
+/// Texels up to which a JPEG gets Huffman tables of its own, and scans: the encoder holds all coefficients then.
+const SMALL_JPEG: u64 = 1 << 24;
 
 /// Longest side of a WebP file, in texels.
 pub(crate) const WEBP_SIDE: u32 = 16_383;
 
-/// Encodes an image with its own channels; PNG keeps the depth, JPEG (quality 1..=100) has 8 bits, and WebP (lossless) 8 bits in RGB or RGBA.
+/// A format, and what its encoder is told.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Coding {
+    /// PNG.
+    Png,
+    /// JPEG.
+    Jpeg(JpegCoding),
+    /// WebP, lossless.
+    Webp,
+}
+
+impl Coding {
+    /// The container.
+    pub fn format(&self) -> Format {
+        match self {
+            Coding::Png => Format::Png,
+            Coding::Jpeg(_) => Format::Jpeg,
+            Coding::Webp => Format::Webp,
+        }
+    }
+}
+
+/// Encodes an image with its own channels; PNG keeps the depth, JPEG has 8 bits, and WebP (lossless) 8 bits in RGB or RGBA.
 ///
-/// Fails with `internal` when the image is empty, has alpha for JPEG or 16 bits for WebP, is too large for the format, or the
-/// format is only read.
-pub fn encode(image: &DynamicImage, format: Format, jpeg_quality: u8) -> Result<Vec<u8>> {
+/// Fails with `internal` when the image is empty, has alpha for JPEG or 16 bits for WebP, or is too large for the format.
+pub fn encode(image: &DynamicImage, coding: &Coding) -> Result<Vec<u8>> {
     if image.width() == 0 || image.height() == 0 {
         return Err(Failure::internal("an image to encode has no texels"));
     }
-    match format {
-        Format::Png => encode_png(image),
-        Format::Jpeg => encode_jpeg(image, jpeg_quality),
-        Format::Webp => encode_webp(image),
-        Format::Ktx2 => Err(Failure::internal("KTX2 is not written")),
+    match coding {
+        Coding::Png => encode_png(image),
+        Coding::Jpeg(coding) => encode_jpeg(image, coding, is_small([image.width(), image.height()])),
+        Coding::Webp => encode_webp(image),
     }
 }
 
@@ -48,12 +69,13 @@ pub(crate) struct RowSource<'a> {
     pub(crate) row: &'a MakeRow<'a>,
 }
 
-/// Encodes rows as they come; quality and subsampling as [`encode`] has them.
-pub(crate) fn encode_jpeg_rows(rows: &RowSource<'_>, quality: u8) -> Result<Vec<u8>> {
+/// Encodes rows as they come, to what [`encode`] gives of a large image.
+pub(crate) fn encode_jpeg_rows(rows: &RowSource<'_>, coding: &JpegCoding) -> Result<Vec<u8>> {
     let [width, height] = rows.size.map(u16::try_from);
     let (Ok(width), Ok(height)) = (width, height) else { return Err(no_jpeg(&"it is too large")) };
     let mut file = Vec::new();
-    jpeg_encoder(&mut file, quality).encode_image(JpegRows { rows, width, height }).map_err(|e| no_jpeg(&e))?;
+    let encoder = coding.encoder(&mut file, false);
+    encoder.encode_image(JpegRows { rows, width, height }).map_err(|e| no_jpeg(&e))?;
     Ok(file)
 }
 
@@ -99,15 +121,12 @@ fn no_jpeg(why: &dyn std::fmt::Display) -> Failure {
     Failure::internal(format!("a JPEG cannot be written: {why}"))
 }
 
-/// By `jpeg_encoder`: it is vectorised, and subsamples chroma.
-fn jpeg_encoder(file: &mut Vec<u8>, quality: u8) -> jpeg_encoder::Encoder<&mut Vec<u8>> {
-    let quality = quality.clamp(1, 100);
-    let mut encoder = jpeg_encoder::Encoder::new(file, quality);
-    encoder.set_sampling_factor(if quality >= FULL_CHROMA { SamplingFactor::R_4_4_4 } else { SamplingFactor::R_4_2_0 });
-    encoder
+fn is_small(size: [u32; 2]) -> bool {
+    u64::from(size[0]) * u64::from(size[1]) <= SMALL_JPEG
 }
 
-pub(super) fn encode_jpeg(image: &DynamicImage, quality: u8) -> Result<Vec<u8>> {
+/// By `jpeg_encoder`: it is vectorised, and subsamples chroma.
+pub(super) fn encode_jpeg(image: &DynamicImage, coding: &JpegCoding, small: bool) -> Result<Vec<u8>> {
     let colour = match image.color().channel_count() {
         1 => jpeg_encoder::ColorType::Luma,
         3 => jpeg_encoder::ColorType::Rgb,
@@ -124,7 +143,7 @@ pub(super) fn encode_jpeg(image: &DynamicImage, quality: u8) -> Result<Vec<u8>> 
         }
         None => image.as_bytes(),
     };
-    jpeg_encoder(&mut file, quality).encode(samples, width, height, colour).map_err(|e| no_jpeg(&e))?;
+    coding.encoder(&mut file, small).encode(samples, width, height, colour).map_err(|e| no_jpeg(&e))?;
     Ok(file)
 }
 
@@ -167,7 +186,7 @@ pub(crate) mod tests {
         for deep in [false, true] {
             for channels in 1..=4 {
                 let image = picture(37, 21, channels, deep);
-                let file = encode(&image, Format::Png, 0).unwrap();
+                let file = encode(&image, &Coding::Png).unwrap();
                 assert_eq!(decode(&file, 1 << 20).unwrap(), image);
                 let head = header(&file).unwrap();
                 assert_eq!((head.channels, head.depth), (channels, if deep { 16 } else { 8 }));
@@ -183,9 +202,10 @@ pub(crate) mod tests {
             let row = |y: usize, take: &mut dyn FnMut(&[u8])| take(&image.as_bytes()[y * line..(y + 1) * line]);
             let rows = RowSource { size: [width, height], channels: channels.into(), row: &row };
             for quality in [40, 92] {
-                let whole = encode(&image, Format::Jpeg, quality).unwrap();
+                let coding = JpegCoding::of_quality(quality);
+                let whole = encode_jpeg(&image, &coding, false).unwrap();
                 assert!(
-                    encode_jpeg_rows(&rows, quality).unwrap() == whole,
+                    encode_jpeg_rows(&rows, &coding).unwrap() == whole,
                     "{width} x {height} x {channels} at {quality}"
                 );
             }
@@ -196,14 +216,14 @@ pub(crate) mod tests {
     fn jpeg_round_trips_closely_and_refuses_alpha() {
         for channels in [1, 3] {
             let image = picture(45, 31, channels, false);
-            let file = encode(&image, Format::Jpeg, 95).unwrap();
+            let file = encode(&image, &Coding::Jpeg(JpegCoding::of_quality(95))).unwrap();
             assert_eq!(header(&file).unwrap().channels, channels);
             let (a, b) = (decode(&file, 1 << 20).unwrap().into_bytes(), image.as_bytes());
             assert_eq!(a.len(), b.len());
             let squares: f64 = a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum();
             assert!(squares / (a.len() as f64) < 9.0, "{}", squares / a.len() as f64);
         }
-        assert!(encode(&picture(8, 8, 4, false), Format::Jpeg, 95).is_err());
-        assert!(encode(&DynamicImage::new_rgb8(0, 4), Format::Png, 95).is_err());
+        assert!(encode(&picture(8, 8, 4, false), &Coding::Jpeg(JpegCoding::of_quality(95))).is_err());
+        assert!(encode(&DynamicImage::new_rgb8(0, 4), &Coding::Png).is_err());
     }
 }

@@ -6,7 +6,7 @@ use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, OneOfBuilder, Type};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
-use crate::params::params;
+use crate::params::{params, word_or_number};
 
 /// Longest side of a sheet that can be asked for, in texels.
 const LONGEST_SIDE: u32 = 16384;
@@ -80,6 +80,16 @@ pub enum TextureFormat {
     Webp,
 }
 
+word_or_number! {
+    /// How much JPEG files lose.
+    pub enum JpegQuality {
+        /// As the uploaded files.
+        Keep = "keep",
+        /// A quality; from 90 on chroma keeps its resolution.
+        Quality(u8) in 1..=100,
+    }
+}
+
 params! {
     /// What the output textures are like.
     pub struct Texture {
@@ -95,8 +105,9 @@ params! {
         pub overflow: Overflow = Overflow::Pages;
         /// Format of the files.
         pub format: TextureFormat = TextureFormat::Keep;
-        /// Quality of JPEG files.
-        pub jpeg_quality: u8 = 92, in 1..=100;
+        /// Quality of JPEG files. "keep" takes quantisation tables, chroma subsampling and progressive scans of the uploaded files, the finest
+        /// where several become one; 92 where these were no JPEG.
+        pub jpeg_quality: JpegQuality = JpegQuality::Keep;
     }
 }
 

@@ -13,6 +13,8 @@ pub struct Slot {
     pub name: String,
     /// Size and format from the header.
     pub header: Header,
+    /// Side in texels of the blocks that its file is encoded by, each by itself: 8 or 16 for JPEG, else 1.
+    pub block: u32,
     /// Who reads it with which wrap modes; together all of `primitives`, each once.
     pub readings: Vec<Reading>,
     /// Whether its sampler's minification filter reads mipmaps (the default when the filter is not given).

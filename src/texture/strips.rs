@@ -12,6 +12,7 @@ use super::baker::{Baker, state};
 use super::coverage::PageRaster;
 use super::encode::{RowSource, encode_jpeg, encode_jpeg_rows};
 use super::fidelity::{Comparison, LEAST_SIDE, Point, PointError, REACH, scatter};
+use super::jpeg_coding::JpegCoding;
 use super::pixels::{TexelRows, from_samples};
 use super::push_pull::{Pulled, STRIP_STEP, Strip, StripFill, UNFILLED};
 use super::texel_map::{TexelMap, TexelMaps};
@@ -50,20 +51,29 @@ pub struct Streamed {
 }
 
 /// Bakes a slot to JPEG files, the same as [`bake`](super::bake), [`encode`](super::encode) and
-/// [`UploadedColors`](super::UploadedColors) give one after the other. None where that cannot be done by strips: a texel must be resampled, the images have alpha or 16 bits, a page is tiny.
+/// [`UploadedColors`](super::UploadedColors) give one after the other. None where that cannot be done by strips: a texel must be resampled, the images have alpha or 16 bits,
+/// a page is tiny, chroma has a quarter of the resolution.
 ///
 /// Fails with `canceled`, with `internal` when the parts of the job do not belong together.
-pub fn bake_jpeg(job: &Bake<'_>, quality: u8, samples: u32, context: &Context) -> Result<Option<Streamed>> {
+pub fn bake_jpeg(job: &Bake<'_>, coding: &JpegCoding, samples: u32, context: &Context) -> Result<Option<Streamed>> {
     match job.sources.first().map(|s| s.image.color()) {
-        Some(ColorType::L8) => streamed::<1>(job, quality, samples, context),
-        Some(ColorType::Rgb8) => streamed::<3>(job, quality, samples, context),
+        Some(ColorType::L8) => streamed::<1>(job, coding, samples, context),
+        Some(ColorType::Rgb8) => streamed::<3>(job, coding, samples, context),
         _ => Ok(None),
     }
 }
 
-fn streamed<const C: usize>(job: &Bake<'_>, quality: u8, samples: u32, context: &Context) -> Result<Option<Streamed>> {
+fn streamed<const C: usize>(
+    job: &Bake<'_>,
+    coding: &JpegCoding,
+    samples: u32,
+    context: &Context,
+) -> Result<Option<Streamed>> {
     let sizes: Vec<[u32; 2]> = (0..job.after.sheets.len()).map(|page| page_size(job, page)).collect();
-    if sizes.iter().flatten().any(|side| !(LEAST_SIDE..=LONGEST).contains(side)) {
+    // Chroma of a quarter is not interleaved.
+    if coding.block().iter().any(|side| *side > JPEG_ROWS as u32)
+        || sizes.iter().flatten().any(|side| !(LEAST_SIDE..=LONGEST).contains(side))
+    {
         return Ok(None);
     }
     let topology = Topology::new(job.after);
@@ -79,7 +89,7 @@ fn streamed<const C: usize>(job: &Bake<'_>, quality: u8, samples: u32, context: 
         for (index, size) in sizes.iter().enumerate() {
             let page = u16::try_from(index).map_err(|_| Failure::internal("there are too many sheets"))?;
             let raster = PageRaster::new(job.after, &topology, &baker.maps, page, *size, job.bleed);
-            let (page, copied) = Page::new(baker, raster, &comparison, &points, index, quality)?;
+            let (page, copied) = Page::new(baker, raster, &comparison, &points, index, coding)?;
             verbatim_texels += copied;
             let file = page.encoded(&mut errors)?;
             files.push((*size, file));
@@ -101,7 +111,7 @@ struct Page<'a, 'b, const C: usize> {
     points: &'a [Point],
     /// By strip, the points that lie in it.
     points_of: Vec<Vec<u32>>,
-    quality: u8,
+    coding: &'a JpegCoding,
 }
 
 /// What points have lost: before encoding, and as their file shows them.
@@ -124,7 +134,7 @@ impl<'a, 'b, const C: usize> Page<'a, 'b, C> {
         comparison: &'a Comparison<'a>,
         points: &'a [Point],
         index: usize,
-        quality: u8,
+        coding: &'a JpegCoding,
     ) -> Result<(Self, u64)> {
         let size = [raster.width as usize, raster.height as usize];
         let rows = (STRIP_TEXELS / size[0]).clamp(STRIP_ROWS.start, STRIP_ROWS.end) / JPEG_ROWS * JPEG_ROWS;
@@ -147,7 +157,7 @@ impl<'a, 'b, const C: usize> Page<'a, 'b, C> {
                 points_of[row / rows].push(i as u32);
             }
         }
-        Ok((Page { baker, raster, size, rows, fill, comparison, points, points_of, quality }, copied))
+        Ok((Page { baker, raster, size, rows, fill, comparison, points, points_of, coding }, copied))
     }
 
     /// Some strips, made in parallel.
@@ -180,7 +190,7 @@ impl<'a, 'b, const C: usize> Page<'a, 'b, C> {
     /// Some rows as whoever opens the page's file sees them: blocks of a JPEG do not depend on those above and below.
     fn shown(&self, rows: &[u8], height: usize) -> Result<Vec<u8>> {
         let size = [self.size[0] as u32, height as u32];
-        let file = encode_jpeg(&from_samples(size, C as u8, rows.to_vec())?, self.quality)?;
+        let file = encode_jpeg(&from_samples(size, C as u8, rows.to_vec())?, self.coding, false)?;
         let shown = decode(&file, u64::from(size[0]) * u64::from(size[1]));
         Ok(shown.map_err(|e| Failure::internal(format!("a texture that was written: {}", e.message)))?.into_bytes())
     }
@@ -232,7 +242,7 @@ impl<'a, 'b, const C: usize> Page<'a, 'b, C> {
                     None => take(&vec![0; width * C]),
                 }
             };
-            encode_jpeg_rows(&RowSource { size: [width as u32, height as u32], channels: C, row: &row }, self.quality)
+            encode_jpeg_rows(&RowSource { size: [width as u32, height as u32], channels: C, row: &row }, self.coding)
         });
         match state.into_inner().failure {
             Some(failure) => Err(failure),

@@ -88,6 +88,7 @@ pub(super) fn slot(role: Role, image: &DynamicImage) -> Slot {
         role,
         name: role.to_string(),
         header,
+        block: 1,
         readings: vec![Reading { wrap: [Wrap::ClampToEdge; 2], primitives: vec![0] }],
         mipmaps: false,
         alpha: Alpha::Opaque,

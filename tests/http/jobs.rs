@@ -26,7 +26,7 @@ fn a_model_goes_in_and_comes_out() {
     assert_eq!(job["progress"]["fraction"], 1.0);
     assert_eq!(job["recipe"], "pack");
     assert_eq!(job["options"]["texture"]["format"], "png");
-    assert_eq!(job["options"]["texture"]["jpeg_quality"], 92, "defaults are filled in");
+    assert_eq!(job["options"]["texture"]["jpeg_quality"], "keep", "defaults are filled in");
     assert_eq!(job["metadata"], json!({"ticket": 7}));
     assert_eq!((&job["error"], &job["queue_position"], &job["attempt"]), (&Value::Null, &Value::Null, &json!(1)));
     for time in ["created_at", "started_at", "finished_at", "artifacts_expire_at"] {
@@ -67,7 +67,7 @@ fn several_models_share_one_atlas() {
     let server = Server::start(data.path(), &[]);
     let other = intarsia::asset::sample::sample("two_materials").unwrap();
     let white = intarsia::texture::neutral(intarsia::texture::Role::BaseColor, 1, 8).unwrap();
-    let picture = intarsia::texture::encode(&white, intarsia::texture::Format::Png, 90).unwrap();
+    let picture = intarsia::texture::encode(&white, &intarsia::texture::Coding::Png).unwrap();
     let options = json!({"importance": {"texture": "maps/weight.png"}, "fabrication": {"seams": "flaps"}});
     let form = Form::sample().file("model", "other.glb", &other).file("files", "maps/weight.png", &picture);
     let job = server.wait(&server.accepted(&form.text("options", &options.to_string())));

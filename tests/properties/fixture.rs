@@ -4,7 +4,7 @@ use std::io::{Cursor, Write};
 
 use image::RgbImage;
 use intarsia::asset::{ARRAY_BUFFER, Document, ELEMENT_ARRAY_BUFFER, File, RawAccessor};
-use intarsia::texture::{Format, encode};
+use intarsia::texture::{Coding, Format, JpegCoding, encode};
 use serde_json::{Value, json};
 
 pub fn file(path: &str, bytes: impl AsRef<[u8]>) -> File {
@@ -15,7 +15,12 @@ pub fn file(path: &str, bytes: impl AsRef<[u8]>) -> File {
 pub fn picture(side: u32, format: Format) -> Vec<u8> {
     let samples = (0..side * side * 3).map(|i| (i * 37 % 251) as u8).collect();
     let image = RgbImage::from_raw(side, side, samples).expect("as many samples");
-    encode(&image.into(), format, 90).expect("an image")
+    let coding = match format {
+        Format::Jpeg => Coding::Jpeg(JpegCoding::of_quality(90)),
+        Format::Webp => Coding::Webp,
+        _ => Coding::Png,
+    };
+    encode(&image.into(), &coding).expect("an image")
 }
 
 /// Two charts with base colour (PNG), normal (JPEG), a sparse morph target, a skin, an animation, a strip of the same

@@ -8,7 +8,7 @@ use super::MergedMaterial;
 use crate::asset::json::{array, object};
 use crate::asset::material_index::{Material, MaterialIndex};
 use crate::asset::{ARRAY_BUFFER, Document, RawAccessor, UvLayout, accessor_count};
-use crate::texture::{Format, Role, encode, from_samples, linear_to_srgb};
+use crate::texture::{Coding, Role, encode, from_samples, linear_to_srgb};
 
 /// Side of the texture that stands for factors, in texels.
 const SIDE: u32 = 4;
@@ -214,7 +214,7 @@ fn texture(
 ) -> crate::error::Result<usize> {
     let samples = constant.texel.repeat((SIDE * SIDE) as usize);
     let image = from_samples([SIDE, SIDE], constant.texel.len() as u8, samples)?;
-    let bytes = encode(&image, Format::Png, 100)?;
+    let bytes = encode(&image, &Coding::Png)?;
     let index = doc.push("images", json!({ "mimeType": "image/png" }));
     doc.images.resize(index, None);
     doc.images.push(Some(bytes));

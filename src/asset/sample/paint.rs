@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 
 use super::random::{mix, smooth};
 use super::surface::Unwrapped;
-use crate::texture::{Format, encode, from_samples};
+use crate::texture::{Coding, encode, from_samples};
 
 /// A point of the surface, as a painter sees it.
 #[derive(Debug, Clone, Copy)]
@@ -45,7 +45,7 @@ pub(crate) fn paint(
     }
     grow(&mut texels, &mut filled, width);
     let image = from_samples([width as u32, height as u32], 3, texels.into_flattened());
-    let file = image.and_then(|image| encode(&image, Format::Png, 100));
+    let file = image.and_then(|image| encode(&image, &Coding::Png));
     debug_assert!(file.is_ok(), "writing to memory does not fail");
     file.unwrap_or_default()
 }

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::asset::Document;
 use crate::error::Result;
-use crate::texture::{Format, decode, encode};
+use crate::texture::{Coding, JpegCoding, decode, encode};
 
 /// How the textures of a sample are written.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -26,7 +26,7 @@ impl SampleTextures {
         if self == Self::default() {
             return Ok(());
         }
-        let format = if self.jpeg { Format::Jpeg } else { Format::Png };
+        let coding = if self.jpeg { Coding::Jpeg(JpegCoding::of_quality(QUALITY)) } else { Coding::Png };
         for (index, file) in document.images.iter_mut().enumerate() {
             let Some(bytes) = file else { continue };
             let mut image = decode(bytes, u64::MAX)?.into_rgb8();
@@ -35,9 +35,9 @@ impl SampleTextures {
                 let size = [image.width(), image.height()].map(|n| (n * side / longest).max(1));
                 image = scaled(&image, size);
             }
-            *bytes = encode(&image.into(), format, QUALITY)?;
+            *bytes = encode(&image.into(), &coding)?;
             if let Some(kind) = document.json.pointer_mut(&format!("/images/{index}/mimeType")) {
-                *kind = Value::from(format.media_type());
+                *kind = Value::from(coding.format().media_type());
             }
         }
         Ok(())

@@ -47,6 +47,7 @@ fn sheet_info() -> SheetInfo {
         id: 0,
         reference: [2048, 2048],
         unit: 1,
+        block: 1,
         mipmaps: false,
         is_virtual: false,
         along_edges: false,

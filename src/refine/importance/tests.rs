@@ -7,7 +7,7 @@ use super::*;
 use crate::asset::ReadOptions;
 use crate::asset::{ARRAY_BUFFER, RawAccessor, fixture};
 use crate::atlas::FaceId;
-use crate::texture::{Format, encode, from_samples};
+use crate::texture::{Coding, encode, from_samples};
 
 /// A bowtie with an attribute of floats by vertex.
 fn model(attribute: Option<[f32; 5]>) -> (Document, Vec<TextureSet>) {
@@ -58,7 +58,7 @@ fn pictures_are_read_at_the_uploaded_texture_coordinates() {
     // Left half black, right half white: u is x.
     let texels = (0..16 * 16).map(|i| if i % 16 < 8 { 0u8 } else { 255 }).collect();
     let image = from_samples([16, 16], 1, texels).unwrap();
-    let file = File { path: "maps/Weight.png".to_owned(), bytes: encode(&image, Format::Png, 90).unwrap() };
+    let file = File { path: "maps/Weight.png".to_owned(), bytes: encode(&image, &Coding::Png).unwrap() };
     let found = weights(json!({"texture": "weight.png"}), None, &[file]).unwrap();
     assert_eq!(found.corners, [[50.5, 1.0, 1.0], [50.5, 100.0, 100.0]]);
     assert_eq!(first_channel(&image, glam::DVec2::new(-7.25, 3.0)), 1.0);

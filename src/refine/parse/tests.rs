@@ -29,9 +29,9 @@ fn every_problem_is_found_with_its_pointer() {
     let found: BTreeMap<&str, &str> = problems.iter().map(|p| (p.pointer.as_str(), p.message.as_str())).collect();
     for (pointer, part) in [
         ("/pack/gutters", "did you mean `gutter`?"),
-        ("/pack/grid", "outside 1..=64"),
+        ("/pack/grid", "must be \"auto\" or a whole number in 1..=64"),
         ("/pack/rotation", "`quarter`"),
-        ("/texture/jpeg_quality", "outside 1..=100"),
+        ("/texture/jpeg_quality", "must be \"keep\" or a whole number in 1..=100"),
         ("/texture/mutliple_of", "`multiple_of`"),
         ("/atlas/merge", "boolean"),
         ("/atlas/uv_set", "outside 0..=7"),

@@ -9,6 +9,7 @@ mod probe;
 mod tests;
 mod webp;
 
+pub(crate) use jpeg::coding as jpeg_coding;
 pub use probe::probe;
 
 use std::io::Cursor;

@@ -4,7 +4,7 @@ use super::fixture::*;
 use super::*;
 use crate::texture::encode::tests::picture;
 use crate::texture::pixels::{Depth, from_samples};
-use crate::texture::{encode, widened};
+use crate::texture::{Coding, JpegCoding, encode, widened};
 
 #[test]
 fn palettes_low_depths_and_transparency_are_expanded() {
@@ -22,7 +22,7 @@ fn palettes_low_depths_and_transparency_are_expanded() {
 
 #[test]
 fn a_bomb_is_refused_by_its_header() {
-    let mut file = encode(&picture(64, 64, 3, false), Format::Png, 90).unwrap();
+    let mut file = encode(&picture(64, 64, 3, false), &Coding::Png).unwrap();
     assert_eq!(decode(&file, 64 * 64 - 1).unwrap_err().code, Code::TooLarge);
     // 60000 x 60000 texels declared by the same few bytes.
     file[16..24].copy_from_slice(&[0, 0, 0xea, 0x60, 0, 0, 0xea, 0x60]);
@@ -47,13 +47,13 @@ fn files() -> Vec<(&'static str, Vec<u8>)> {
         ktx2(&Ktx2 { vulkan: 37, size: [4, 4], scheme, model: 1, channels: &[0], inflated, global: &[], level })
     };
     vec![
-        ("png", encode(&rgb, Format::Png, 90).unwrap()),
-        ("jpeg", encode(&rgb, Format::Jpeg, 90).unwrap()),
+        ("png", encode(&rgb, &Coding::Png).unwrap()),
+        ("jpeg", encode(&rgb, &Coding::Jpeg(JpegCoding::of_quality(90))).unwrap()),
         (
             "progressive",
             jpeg(bytes(&picture(24, 16, 3, false)), jpeg_encoder::ColorType::Rgb, |e| e.set_progressive(true)),
         ),
-        ("webp", encode(&picture(40, 24, 4, false), Format::Webp, 90).unwrap()),
+        ("webp", encode(&picture(40, 24, 4, false), &Coding::Webp).unwrap()),
         ("lossy webp", grey_webp([12, 9], Some(&[100; 108]))),
         ("uastc", uastc(0, 3, &level)),
         ("uastc, zstd", uastc(2, 0, &level)),
@@ -241,14 +241,14 @@ fn webp_round_trips_without_loss() {
             let DynamicImage::ImageRgba8(texels) = &mut image else { panic!("RGBA expected") };
             texels.pixels_mut().step_by(3).for_each(|texel| texel[3] = 0);
         }
-        let file = encode(&image, Format::Webp, 0).unwrap();
+        let file = encode(&image, &Coding::Webp).unwrap();
         let head = Header { width: 37, height: 21, channels: expected, depth: 8, format: Format::Webp };
         assert_eq!(header(&file).unwrap(), head);
         assert!(!is_lossy(&file));
         assert_eq!(decode(&file, 37 * 21).unwrap(), widened(image, expected, 8));
     }
-    assert!(encode(&picture(8, 8, 3, true), Format::Webp, 0).is_err());
-    assert!(encode(&DynamicImage::new_luma8(16_384, 1), Format::Webp, 0).is_err());
+    assert!(encode(&picture(8, 8, 3, true), &Coding::Webp).is_err());
+    assert!(encode(&DynamicImage::new_luma8(16_384, 1), &Coding::Webp).is_err());
 }
 
 #[test]
@@ -423,9 +423,9 @@ fn a_probe_tells_from_the_head_what_the_header_does() {
     })];
     files.push(jpeg(bytes(&picture(24, 16, 1, false)), jpeg_encoder::ColorType::Luma, |_| {}));
     for channels in 1..=4 {
-        files.push(encode(&picture(37, 21, channels, false), Format::Png, 90).unwrap());
-        files.push(encode(&picture(37, 21, channels, true), Format::Png, 90).unwrap());
-        files.push(encode(&picture(37, 21, channels, false), Format::Webp, 90).unwrap());
+        files.push(encode(&picture(37, 21, channels, false), &Coding::Png).unwrap());
+        files.push(encode(&picture(37, 21, channels, true), &Coding::Png).unwrap());
+        files.push(encode(&picture(37, 21, channels, false), &Coding::Webp).unwrap());
     }
     files.push(grey_webp([12, 9], None));
     files.push(grey_webp([12, 9], Some(&[7; 108])));

@@ -5,6 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::*;
 use crate::context::Silent;
+use crate::texture::encode::encode_jpeg;
 
 /// A page of 1,100 rows is five strips, one of 70 a part of one.
 #[test]
@@ -23,11 +24,11 @@ fn a_jpeg_in_strips_is_that_of_the_whole_page() {
         let role = if seed == 4 { Role::Normal } else { Role::BaseColor };
         let slot = slot(role, &image);
         let job = charts.bake(&slot, &image);
-        let context = Context::silent();
+        let (context, coding) = (Context::silent(), JpegCoding::of_quality(85));
         let baked = bake(&job, &context).unwrap();
         for threads in [1, 3] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let streamed = pool.install(|| bake_jpeg(&job, 85, 3000, &context)).unwrap().unwrap();
+            let streamed = pool.install(|| bake_jpeg(&job, &coding, 3000, &context)).unwrap().unwrap();
             assert_eq!(streamed.verbatim_texels, baked.verbatim_texels);
             assert_eq!(streamed.files.len(), 1);
             let (size, file) = &streamed.files[0];
@@ -36,7 +37,7 @@ fn a_jpeg_in_strips_is_that_of_the_whole_page() {
             let shown = decode(file, 1 << 23).unwrap();
             assert_eq!(streamed.fidelity, uploaded.against(&[shown], &context).unwrap());
             assert_eq!(*size, [4100, height]);
-            assert!(*file == encode(&baked.pages[0], Format::Jpeg, 85).unwrap(), "{seed} with {threads} threads");
+            assert!(*file == encode_jpeg(&baked.pages[0], &coding, false).unwrap(), "{seed} with {threads} threads");
         }
     }
 }
@@ -44,15 +45,15 @@ fn a_jpeg_in_strips_is_that_of_the_whole_page() {
 #[test]
 fn what_is_resampled_or_cancelled_is_not_written_in_strips() {
     let image = picture(300, 300, 3, false);
-    let slot = slot(Role::BaseColor, &image);
+    let (slot, coding) = (slot(Role::BaseColor, &image), JpegCoding::default());
     let points = [(20.0, 20.0), (200.0, 30.0), (100.0, 250.0)].map(DVec2::from);
     let mut charts = Charts::new([300, 300], [300, 300]);
     charts.fan(0, &points, |p| p + 0.5);
-    assert!(bake_jpeg(&charts.bake(&slot, &image), 85, 100, &Context::silent()).unwrap().is_none());
+    assert!(bake_jpeg(&charts.bake(&slot, &image), &coding, 100, &Context::silent()).unwrap().is_none());
     let mut charts = Charts::new([300, 300], [300, 300]);
     charts.fan(0, &points, |p| p + 5.0);
     let context = Context::silent();
-    assert!(bake_jpeg(&charts.bake(&slot, &image), 85, 100, &context).unwrap().is_some());
+    assert!(bake_jpeg(&charts.bake(&slot, &image), &coding, 100, &context).unwrap().is_some());
     let cancelled = Context::new(Arc::new(Silent), Arc::new(AtomicBool::new(true)), 0);
-    assert!(bake_jpeg(&charts.bake(&slot, &image), 85, 100, &cancelled).is_err());
+    assert!(bake_jpeg(&charts.bake(&slot, &image), &coding, 100, &cancelled).is_err());
 }
