@@ -1,17 +1,12 @@
 //! Image files out.
 
-use image::DynamicImage;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::codecs::webp::WebPEncoder;
-use jpeg_encoder::JpegColorType;
-
-use super::jpeg_coding::JpegCoding;
+use super::jpeg::JpegCoding;
 use super::pixels::Depth;
 use super::{Format, depth};
 use crate::error::{Failure, Result};
-
-/// Texels up to which a JPEG gets Huffman tables of its own, and scans: the encoder holds all coefficients then.
-const SMALL_JPEG: u64 = 1 << 24;
+use image::DynamicImage;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::codecs::webp::WebPEncoder;
 
 /// Longest side of a WebP file, in texels.
 pub(crate) const WEBP_SIDE: u32 = 16_383;
@@ -47,7 +42,7 @@ pub fn encode(image: &DynamicImage, coding: &Coding) -> Result<Vec<u8>> {
     }
     match coding {
         Coding::Png => encode_png(image),
-        Coding::Jpeg(coding) => encode_jpeg(image, coding, is_small([image.width(), image.height()])),
+        Coding::Jpeg(coding) => encode_jpeg(image, coding),
         Coding::Webp => encode_webp(image),
     }
 }
@@ -59,82 +54,7 @@ fn encode_png(image: &DynamicImage) -> Result<Vec<u8>> {
     Ok(file)
 }
 
-/// Makes a row and gives it to its second argument.
-type MakeRow<'a> = dyn Fn(usize, &mut dyn FnMut(&[u8])) + 'a;
-
-/// Rows of 8-bit samples, grey or RGB, that are made when they are asked for: from the top, some at the end more than once.
-pub(crate) struct RowSource<'a> {
-    pub(crate) size: [u32; 2],
-    pub(crate) channels: usize,
-    pub(crate) row: &'a MakeRow<'a>,
-}
-
-/// Encodes rows as they come, to what [`encode`] gives of a large image.
-pub(crate) fn encode_jpeg_rows(rows: &RowSource<'_>, coding: &JpegCoding) -> Result<Vec<u8>> {
-    let [width, height] = rows.size.map(u16::try_from);
-    let (Ok(width), Ok(height)) = (width, height) else { return Err(no_jpeg(&"it is too large")) };
-    let mut file = Vec::new();
-    let encoder = coding.encoder(&mut file, false);
-    encoder.encode_image(JpegRows { rows, width, height }).map_err(|e| no_jpeg(&e))?;
-    Ok(file)
-}
-
-struct JpegRows<'a> {
-    rows: &'a RowSource<'a>,
-    width: u16,
-    height: u16,
-}
-
-impl jpeg_encoder::ImageBuffer for JpegRows<'_> {
-    fn get_jpeg_color_type(&self) -> JpegColorType {
-        if self.rows.channels == 1 { JpegColorType::Luma } else { JpegColorType::Ycbcr }
-    }
-
-    fn width(&self) -> u16 {
-        self.width
-    }
-
-    fn height(&self) -> u16 {
-        self.height
-    }
-
-    fn fill_buffers(&self, y: u16, buffers: &mut [Vec<u8>; 4]) {
-        (self.rows.row)(usize::from(y), &mut |row| {
-            let [first, second, third, _] = &mut *buffers;
-            if self.rows.channels == 1 {
-                first.extend_from_slice(row);
-                return;
-            }
-            let start = first.len();
-            for buffer in [&mut *first, &mut *second, &mut *third] {
-                buffer.resize(start + usize::from(self.width), 0);
-            }
-            let out = first[start..].iter_mut().zip(&mut second[start..]).zip(&mut third[start..]);
-            for (((y, cb), cr), texel) in out.zip(row.chunks_exact(3)) {
-                (*y, *cb, *cr) = jpeg_encoder::rgb_to_ycbcr(texel[0], texel[1], texel[2]);
-            }
-        });
-    }
-}
-
-fn no_jpeg(why: &dyn std::fmt::Display) -> Failure {
-    Failure::internal(format!("a JPEG cannot be written: {why}"))
-}
-
-fn is_small(size: [u32; 2]) -> bool {
-    u64::from(size[0]) * u64::from(size[1]) <= SMALL_JPEG
-}
-
-/// By `jpeg_encoder`: it is vectorised, and subsamples chroma.
-pub(super) fn encode_jpeg(image: &DynamicImage, coding: &JpegCoding, small: bool) -> Result<Vec<u8>> {
-    let colour = match image.color().channel_count() {
-        1 => jpeg_encoder::ColorType::Luma,
-        3 => jpeg_encoder::ColorType::Rgb,
-        _ => return Err(no_jpeg(&"it has no alpha")),
-    };
-    let side = |n: u32| u16::try_from(n).map_err(|e| no_jpeg(&e));
-    let (width, height) = (side(image.width())?, side(image.height())?);
-    let mut file = Vec::new();
+fn encode_jpeg(image: &DynamicImage, coding: &JpegCoding) -> Result<Vec<u8>> {
     let narrowed: Vec<u8>;
     let samples = match u16::of(image) {
         Some(samples) => {
@@ -143,8 +63,7 @@ pub(super) fn encode_jpeg(image: &DynamicImage, coding: &JpegCoding, small: bool
         }
         None => image.as_bytes(),
     };
-    coding.encoder(&mut file, small).encode(samples, width, height, colour).map_err(|e| no_jpeg(&e))?;
-    Ok(file)
+    coding.encode(samples, [image.width(), image.height()], image.color().channel_count())
 }
 
 fn encode_webp(image: &DynamicImage) -> Result<Vec<u8>> {
@@ -190,24 +109,6 @@ pub(crate) mod tests {
                 assert_eq!(decode(&file, 1 << 20).unwrap(), image);
                 let head = header(&file).unwrap();
                 assert_eq!((head.channels, head.depth), (channels, if deep { 16 } else { 8 }));
-            }
-        }
-    }
-
-    #[test]
-    fn rows_become_the_file_that_their_image_does() {
-        for (channels, width, height) in [(1, 45, 31), (3, 45, 31), (3, 64, 48), (3, 8, 9)] {
-            let image = picture(width, height, channels, false);
-            let line = width as usize * usize::from(channels);
-            let row = |y: usize, take: &mut dyn FnMut(&[u8])| take(&image.as_bytes()[y * line..(y + 1) * line]);
-            let rows = RowSource { size: [width, height], channels: channels.into(), row: &row };
-            for quality in [40, 92] {
-                let coding = JpegCoding::of_quality(quality);
-                let whole = encode_jpeg(&image, &coding, false).unwrap();
-                assert!(
-                    encode_jpeg_rows(&rows, &coding).unwrap() == whole,
-                    "{width} x {height} x {channels} at {quality}"
-                );
             }
         }
     }

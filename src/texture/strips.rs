@@ -1,19 +1,15 @@
 //! A slot whose texels are all copied, written as JPEG: baked, filled, compared and encoded strip by strip, so that no page is ever held.
 
-use std::cell::RefCell;
 use std::ops::Range;
-use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Mutex, PoisonError};
 
 use image::ColorType;
 use rayon::prelude::*;
 
 use super::baker::{Baker, state};
 use super::coverage::PageRaster;
-use super::encode::{RowSource, encode_jpeg, encode_jpeg_rows};
 use super::fidelity::{Comparison, LEAST_SIDE, Point, PointError, REACH, scatter};
-use super::jpeg_coding::JpegCoding;
-use super::pixels::{TexelRows, from_samples};
+use super::jpeg::{Frame, JpegCoding, LONGEST, Scanned};
+use super::pixels::TexelRows;
 use super::push_pull::{Pulled, STRIP_STEP, Strip, StripFill, UNFILLED};
 use super::texel_map::{TexelMap, TexelMaps};
 use super::{Bake, Fidelity, decode, page_size};
@@ -24,18 +20,16 @@ use crate::error::{Failure, Result};
 /// Texels of all pages of a slot from which it is worth the while: every texel is made twice.
 pub const STREAMED_FROM: u64 = 1 << 25;
 /// Texels of a strip, about; its rows are between these bounds, and a multiple of the rows that JPEG takes at a time.
-const STRIP_TEXELS: usize = 1 << 20;
-const STRIP_ROWS: Range<usize> = 32..256;
+const STRIP_TEXELS: usize = 1 << 22;
+const STRIP_ROWS: Range<usize> = 128..512;
 const JPEG_ROWS: usize = 16;
 /// Rows about a strip that are encoded with it to see what the file shows: those whose texels decide what comparing reads.
 const CODED: usize = JPEG_ROWS;
-/// Rows about a strip that are baked with it: those that are encoded, and what filling them reads.
-const HALO: usize = CODED + UNFILLED;
+/// Rows about a strip that are baked with it: those that are encoded, what encoding them reads, and what filling all that reads.
+const HALO: usize = CODED + 8 + UNFILLED;
 const _: () = assert!(HALO.is_multiple_of(STRIP_STEP) && JPEG_ROWS.is_multiple_of(STRIP_STEP));
 // A decoder smooths chroma by a row of it.
 const _: () = assert!(CODED >= REACH + 2);
-/// The longest side of a JPEG.
-const LONGEST: u32 = 65_535;
 
 /// A baked slot, encoded.
 #[derive(Debug, Clone)]
@@ -89,7 +83,8 @@ fn streamed<const C: usize>(
         for (index, size) in sizes.iter().enumerate() {
             let page = u16::try_from(index).map_err(|_| Failure::internal("there are too many sheets"))?;
             let raster = PageRaster::new(job.after, &topology, &baker.maps, page, *size, job.bleed);
-            let (page, copied) = Page::new(baker, raster, &comparison, &points, index, coding)?;
+            let frame = Frame::new(coding, *size, C as u8)?;
+            let (page, copied) = Page::new(baker, raster, &comparison, &points, index, frame)?;
             verbatim_texels += copied;
             let file = page.encoded(&mut errors)?;
             files.push((*size, file));
@@ -111,7 +106,7 @@ struct Page<'a, 'b, const C: usize> {
     points: &'a [Point],
     /// By strip, the points that lie in it.
     points_of: Vec<Vec<u32>>,
-    coding: &'a JpegCoding,
+    frame: Frame,
 }
 
 /// What points have lost: before encoding, and as their file shows them.
@@ -119,7 +114,7 @@ type Errors = [Vec<Option<PointError>>; 2];
 
 /// A strip as it is encoded, and what its points have lost.
 struct Finished {
-    texels: Vec<u8>,
+    scanned: Scanned,
     errors: Vec<(u32, [Option<PointError>; 2])>,
 }
 
@@ -134,7 +129,7 @@ impl<'a, 'b, const C: usize> Page<'a, 'b, C> {
         comparison: &'a Comparison<'a>,
         points: &'a [Point],
         index: usize,
-        coding: &'a JpegCoding,
+        frame: Frame,
     ) -> Result<(Self, u64)> {
         let size = [raster.width as usize, raster.height as usize];
         let rows = (STRIP_TEXELS / size[0]).clamp(STRIP_ROWS.start, STRIP_ROWS.end) / JPEG_ROWS * JPEG_ROWS;
@@ -157,13 +152,7 @@ impl<'a, 'b, const C: usize> Page<'a, 'b, C> {
                 points_of[row / rows].push(i as u32);
             }
         }
-        Ok((Page { baker, raster, size, rows, fill, comparison, points, points_of, coding }, copied))
-    }
-
-    /// Some strips, made in parallel.
-    fn strips(&self, strips: Range<usize>) -> Result<Vec<Finished>> {
-        let strips: Vec<Result<Finished>> = strips.into_par_iter().map(|strip| self.strip(strip)).collect();
-        strips.into_iter().collect()
+        Ok((Page { baker, raster, size, rows, fill, comparison, points, points_of, frame }, copied))
     }
 
     fn strip(&self, strip: usize) -> Result<Finished> {
@@ -173,99 +162,44 @@ impl<'a, 'b, const C: usize> Page<'a, 'b, C> {
         let ((mut texels, known), _) = baked(self.baker, &self.raster, with_halo.clone())?;
         let top = with_halo.start;
         self.fill.fill(&mut Strip { texels: &mut texels, known: &known, top, size: self.size }, self.baker.transfer);
+        drop(known);
         let coded = own.start.saturating_sub(CODED)..(own.end + CODED).min(height);
-        let shown = self.shown(&texels[(coded.start - top) * width * C..(coded.end - top) * width * C], coded.len())?;
+        let scan = |rows: Range<usize>| self.frame.strip(&texels, top, rows);
+        let mut parts = vec![scan(own.clone())?];
+        if coded.start < own.start {
+            parts.insert(0, scan(coded.start..own.start)?);
+        }
+        if own.end < coded.end {
+            parts.push(scan(own.end..coded.end)?);
+        }
+        // What the file shows of these rows: blocks do not depend on those above and below.
+        let size = [width as u32, coded.len() as u32];
+        let shown = decode(&self.frame.of_height(coded.len()).file(&parts), u64::from(size[0]) * u64::from(size[1]));
+        let shown = shown.map_err(|e| Failure::internal(format!("a texture that was written: {}", e.message)))?;
         let baked = TexelRows::part(&texels, C, self.size, top);
-        let shown = TexelRows::part(&shown, C, self.size, coded.start);
+        let shown = TexelRows::part(shown.as_bytes(), C, self.size, coded.start);
         let compare = |i: &u32| {
             let point = &self.points[*i as usize];
             (*i, [&baked, &shown].map(|rows| self.comparison.compare(point, rows)))
         };
         let errors = self.points_of[strip].iter().map(compare).collect();
-        texels.truncate((own.end - top) * width * C);
-        texels.drain(..(own.start - top) * width * C);
-        Ok(Finished { texels, errors })
+        let scanned = parts.swap_remove(usize::from(coded.start < own.start));
+        Ok(Finished { scanned, errors })
     }
 
-    /// Some rows as whoever opens the page's file sees them: blocks of a JPEG do not depend on those above and below.
-    fn shown(&self, rows: &[u8], height: usize) -> Result<Vec<u8>> {
-        let size = [self.size[0] as u32, height as u32];
-        let file = encode_jpeg(&from_samples(size, C as u8, rows.to_vec())?, self.coding, false)?;
-        let shown = decode(&file, u64::from(size[0]) * u64::from(size[1]));
-        Ok(shown.map_err(|e| Failure::internal(format!("a texture that was written: {}", e.message)))?.into_bytes())
-    }
-
-    /// The page as a JPEG. While some strips are encoded the next ones are made.
+    /// The page as a JPEG.
     fn encoded(&self, errors: &mut Errors) -> Result<Vec<u8>> {
-        let count = self.points_of.len();
-        let batch = rayon::current_num_threads().max(1);
-        let next: Mutex<Option<Result<Vec<Finished>>>> = Mutex::new(None);
-        let make = |first: usize| {
-            let made = catch_unwind(AssertUnwindSafe(|| self.strips(first..(first + batch).min(count))));
-            let made = made.unwrap_or_else(|_| Err(Failure::internal("a strip of a page cannot be made")));
-            *next.lock().unwrap_or_else(PoisonError::into_inner) = Some(made);
-        };
-        let [width, height] = self.size;
-        let state = RefCell::new(Reading { first: 0, batch: Vec::new(), failure: None, errors });
-        let file = rayon::in_place_scope(|scope| {
-            scope.spawn(|_| make(0));
-            let row = |y: usize, take: &mut dyn FnMut(&[u8])| {
-                let mut reading = state.borrow_mut();
-                let strip = y / self.rows;
-                if reading.failure.is_none() && strip >= reading.first + reading.batch.len() {
-                    let first = reading.first + reading.batch.len();
-                    let made = loop {
-                        // The lock is free again before others work on this thread.
-                        let made = next.lock().unwrap_or_else(PoisonError::into_inner).take();
-                        if let Some(made) = made {
-                            break made;
-                        }
-                        // With one thread this is what makes them.
-                        if rayon::yield_now() != Some(rayon::Yield::Executed) {
-                            std::thread::yield_now();
-                        }
-                    };
-                    match made {
-                        Ok(batch) => reading.take(first, batch),
-                        Err(failure) => reading.failure = Some(failure),
-                    }
-                    let behind = first + reading.batch.len();
-                    if reading.failure.is_none() && behind < count {
-                        let make = &make;
-                        scope.spawn(move |_| make(behind));
-                    }
-                }
-                let at = (y - strip * self.rows) * width * C;
-                let strip = strip.checked_sub(reading.first).and_then(|i| reading.batch.get(i));
-                match strip.and_then(|s| s.texels.get(at..at + width * C)) {
-                    Some(row) => take(row),
-                    None => take(&vec![0; width * C]),
-                }
-            };
-            encode_jpeg_rows(&RowSource { size: [width as u32, height as u32], channels: C, row: &row }, self.coding)
-        });
-        match state.into_inner().failure {
-            Some(failure) => Err(failure),
-            None => file,
+        let strips: Vec<Result<Finished>> =
+            (0..self.points_of.len()).into_par_iter().map(|strip| self.strip(strip)).collect();
+        let mut scanned = Vec::with_capacity(strips.len());
+        for strip in strips {
+            let strip = strip?;
+            for (i, lost) in strip.errors {
+                errors.iter_mut().zip(lost).for_each(|(errors, lost)| errors[i as usize] = lost);
+            }
+            scanned.push(strip.scanned);
         }
-    }
-}
-
-/// Where the encoder is.
-struct Reading<'e> {
-    /// The first strip of the batch.
-    first: usize,
-    batch: Vec<Finished>,
-    failure: Option<Failure>,
-    errors: &'e mut Errors,
-}
-
-impl Reading<'_> {
-    fn take(&mut self, first: usize, batch: Vec<Finished>) {
-        for (i, error) in batch.iter().flat_map(|strip| &strip.errors) {
-            self.errors.iter_mut().zip(error).for_each(|(errors, error)| errors[*i as usize] = *error);
-        }
-        (self.first, self.batch) = (first, batch);
+        Ok(self.frame.file(&scanned))
     }
 }
 

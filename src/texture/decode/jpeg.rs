@@ -2,7 +2,7 @@
 
 use super::invalid;
 use crate::error::Result;
-use crate::texture::jpeg_coding::{JpegCoding, Tables, finer_table};
+use crate::texture::jpeg::{JpegCoding, ZIGZAG, finer_table};
 
 /// Scans that a file may have: each of them visits the whole picture, however few bytes it holds.
 const SCANS: usize = 500;
@@ -63,12 +63,14 @@ pub(crate) fn coding(bytes: &[u8]) -> Option<JpegCoding> {
     if count > 1 {
         chroma = finer_table(table(&components[1])?, table(&components[2])?);
         let (whole, part) = (factors(&components[0]), factors(&components[1]));
-        let ratio = |k: usize| Some(whole[k] / part[k]).filter(|ratio| *ratio > 0 && ratio * part[k] == whole[k]);
+        let ratio = |k: usize| {
+            Some(whole[k] / part[k]).filter(|ratio| [1, 2, 4].contains(ratio) && ratio * part[k] == whole[k])
+        };
         if part.iter().all(|n| *n > 0) && factors(&components[2]) == part && count == 3 {
             sampling = [ratio(0).unwrap_or(1), ratio(1).unwrap_or(1)];
         }
     }
-    Some(JpegCoding { tables: Tables::Own(Box::new([luma, chroma])), sampling, progressive: marker == PROGRESSIVE })
+    Some(JpegCoding { tables: Box::new([luma, chroma]), sampling, progressive: marker == PROGRESSIVE, decoded: true })
 }
 
 /// Reads the tables of a DQT segment, which stand in zigzag order, into natural order.
@@ -87,28 +89,6 @@ fn read_tables(mut payload: &[u8], tables: &mut [Option<[u16; 64]>; 4]) -> Optio
         payload = &rest[values.len()..];
     }
     Some(())
-}
-
-/// Natural places of the coefficients in zigzag order (ITU T.81, figure A.6).
-const ZIGZAG: [u8; 64] = zigzag();
-
-const fn zigzag() -> [u8; 64] {
-    let mut places = [0; 64];
-    let (mut k, mut diagonal) = (0, 0);
-    while diagonal < 15 {
-        let first = if diagonal < 8 { 0 } else { diagonal - 7 };
-        let last = if diagonal < 8 { diagonal } else { 7 };
-        let mut i = first;
-        while i <= last {
-            // Even diagonals run upwards: the column grows.
-            let column = if diagonal % 2 == 0 { i } else { diagonal - i };
-            places[k] = ((diagonal - column) * 8 + column) as u8;
-            k += 1;
-            i += 1;
-        }
-        diagonal += 1;
-    }
-    places
 }
 
 /// The segments of a file: markers and what follows their length. Ends where the file does.

@@ -5,7 +5,6 @@ use std::sync::atomic::AtomicBool;
 
 use super::*;
 use crate::context::Silent;
-use crate::texture::encode::encode_jpeg;
 
 /// A page of 1,100 rows is five strips, one of 70 a part of one.
 #[test]
@@ -24,7 +23,8 @@ fn a_jpeg_in_strips_is_that_of_the_whole_page() {
         let role = if seed == 4 { Role::Normal } else { Role::BaseColor };
         let slot = slot(role, &image);
         let job = charts.bake(&slot, &image);
-        let (context, coding) = (Context::silent(), JpegCoding::of_quality(85));
+        let context = Context::silent();
+        let coding = JpegCoding { decoded: seed != 3, ..JpegCoding::of_quality(85) };
         let baked = bake(&job, &context).unwrap();
         for threads in [1, 3] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -37,7 +37,10 @@ fn a_jpeg_in_strips_is_that_of_the_whole_page() {
             let shown = decode(file, 1 << 23).unwrap();
             assert_eq!(streamed.fidelity, uploaded.against(&[shown], &context).unwrap());
             assert_eq!(*size, [4100, height]);
-            assert!(*file == encode_jpeg(&baked.pages[0], &coding, false).unwrap(), "{seed} with {threads} threads");
+            assert!(
+                *file == encode(&baked.pages[0], &Coding::Jpeg(coding.clone())).unwrap(),
+                "{seed} with {threads} threads"
+            );
         }
     }
 }
