@@ -2,10 +2,9 @@
 
 use super::jpeg::JpegCoding;
 use super::pixels::Depth;
-use super::{Format, depth};
+use super::{Format, depth, png};
 use crate::error::{Failure, Result};
 use image::DynamicImage;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::codecs::webp::WebPEncoder;
 
 /// Longest side of a WebP file, in texels.
@@ -41,17 +40,10 @@ pub fn encode(image: &DynamicImage, coding: &Coding) -> Result<Vec<u8>> {
         return Err(Failure::internal("an image to encode has no texels"));
     }
     match coding {
-        Coding::Png => encode_png(image),
+        Coding::Png => png::encode(image),
         Coding::Jpeg(coding) => encode_jpeg(image, coding),
         Coding::Webp => encode_webp(image),
     }
-}
-
-fn encode_png(image: &DynamicImage) -> Result<Vec<u8>> {
-    let mut file = Vec::new();
-    let encoder = PngEncoder::new_with_quality(&mut file, CompressionType::Fast, FilterType::Adaptive);
-    image.write_with_encoder(encoder).map_err(|e| Failure::internal(format!("a PNG cannot be written: {e}")))?;
-    Ok(file)
 }
 
 fn encode_jpeg(image: &DynamicImage, coding: &JpegCoding) -> Result<Vec<u8>> {

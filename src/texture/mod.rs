@@ -13,6 +13,7 @@ mod fidelity;
 mod jpeg;
 mod options;
 mod pixels;
+mod png;
 mod push_pull;
 mod sampler;
 mod slot;

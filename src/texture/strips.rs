@@ -10,7 +10,7 @@ use super::coverage::PageRaster;
 use super::fidelity::{Comparison, LEAST_SIDE, Point, PointError, REACH, scatter};
 use super::jpeg::{Frame, JpegCoding, LONGEST, Scanned};
 use super::pixels::TexelRows;
-use super::push_pull::{Pulled, STRIP_STEP, Strip, StripFill, UNFILLED};
+use super::push_pull::{BLOCK, Fill, Mean, block_means};
 use super::texel_map::{TexelMap, TexelMaps};
 use super::{Bake, Fidelity, decode, page_size};
 use crate::atlas::{Charts, Topology};
@@ -20,14 +20,14 @@ use crate::error::{Failure, Result};
 /// Texels of all pages of a slot from which it is worth the while: every texel is made twice.
 pub const STREAMED_FROM: u64 = 1 << 25;
 /// Texels of a strip, about; its rows are between these bounds, and a multiple of the rows that JPEG takes at a time.
-const STRIP_TEXELS: usize = 1 << 22;
+const STRIP_TEXELS: usize = 1 << 21;
 const STRIP_ROWS: Range<usize> = 128..512;
 const JPEG_ROWS: usize = 16;
 /// Rows about a strip that are encoded with it to see what the file shows: those whose texels decide what comparing reads.
 const CODED: usize = JPEG_ROWS;
-/// Rows about a strip that are baked with it: those that are encoded, what encoding them reads, and what filling all that reads.
-const HALO: usize = CODED + 8 + UNFILLED;
-const _: () = assert!(HALO.is_multiple_of(STRIP_STEP) && JPEG_ROWS.is_multiple_of(STRIP_STEP));
+/// Rows about a strip that are baked with it: those that are encoded, and what encoding them reads.
+const HALO: usize = CODED + 8;
+const _: () = assert!(JPEG_ROWS.is_multiple_of(BLOCK));
 // A decoder smooths chroma by a row of it.
 const _: () = assert!(CODED >= REACH + 2);
 
@@ -101,7 +101,7 @@ struct Page<'a, 'b, const C: usize> {
     size: [usize; 2],
     /// Rows of a strip.
     rows: usize,
-    fill: StripFill<C>,
+    fill: Fill<C>,
     comparison: &'a Comparison<'a>,
     points: &'a [Point],
     /// By strip, the points that lie in it.
@@ -134,16 +134,14 @@ impl<'a, 'b, const C: usize> Page<'a, 'b, C> {
         let size = [raster.width as usize, raster.height as usize];
         let rows = (STRIP_TEXELS / size[0]).clamp(STRIP_ROWS.start, STRIP_ROWS.end) / JPEG_ROWS * JPEG_ROWS;
         let strips: Vec<usize> = (0..size[1]).step_by(rows).collect();
-        let pull = |top: usize| -> Result<(Pulled<C>, u64)> {
-            let ((mut texels, known), copied) = baked(baker, &raster, top..(top + rows).min(size[1]))?;
-            let strip = Strip { texels: &mut texels, known: &known, top, size };
-            Ok((StripFill::pull(&strip, baker.transfer), copied))
+        let pull = |top: usize| -> Result<(Vec<Mean<C>>, u64)> {
+            let ((texels, known), copied) = baked(baker, &raster, top..(top + rows).min(size[1]))?;
+            Ok((block_means(&texels, &known, size[0], baker.transfer), copied))
         };
-        let pulled: Vec<Result<(Pulled<C>, u64)>> = strips.par_iter().map(|top| pull(*top)).collect();
+        let pulled: Vec<Result<(Vec<Mean<C>>, u64)>> = strips.par_iter().map(|top| pull(*top)).collect();
         let pulled = pulled.into_iter().collect::<Result<Vec<_>>>()?;
         let copied = pulled.iter().map(|(_, copied)| copied).sum();
-        let space = baker.transfer.space;
-        let fill = StripFill::new(size, pulled.into_iter().map(|(rows, _)| rows), space, baker.context)?;
+        let fill = Fill::new(size, pulled.into_iter().map(|(means, _)| means), baker.transfer.space, baker.context)?;
         let mut points_of = vec![Vec::new(); strips.len()];
         for (i, point) in points.iter().enumerate() {
             let (page, place) = comparison.place(point);
@@ -161,7 +159,7 @@ impl<'a, 'b, const C: usize> Page<'a, 'b, C> {
         let with_halo = own.start.saturating_sub(HALO)..(own.end + HALO).min(height);
         let ((mut texels, known), _) = baked(self.baker, &self.raster, with_halo.clone())?;
         let top = with_halo.start;
-        self.fill.fill(&mut Strip { texels: &mut texels, known: &known, top, size: self.size }, self.baker.transfer);
+        self.fill.fill(&mut texels, &known, top, self.baker.transfer);
         drop(known);
         let coded = own.start.saturating_sub(CODED)..(own.end + CODED).min(height);
         let scan = |rows: Range<usize>| self.frame.strip(&texels, top, rows);
