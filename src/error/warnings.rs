@@ -15,7 +15,10 @@ pub const WARNINGS: &[(&str, &str)] = &[
         "decompressed",
         "a primitive that came compressed is written uncompressed: its codec cannot carry what became of it",
     ),
-    ("degenerate_faces_dropped", "faces of an OBJ with fewer than three corners are left out"),
+    (
+        "degenerate_faces_dropped",
+        "faces of an OBJ with fewer than three corners, or triangles of which Draco carries none, are left out: they have no area",
+    ),
     ("directions_on_two_layouts", "a material is left as it is: its normal maps are read through two layouts"),
     ("draco_ignored", "a primitive's Draco data is not used: it has plain data too"),
     ("extension_dropped", "an extension of a primitive is left out: its triangles were divided"),

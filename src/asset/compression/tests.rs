@@ -612,6 +612,26 @@ fn indices_that_something_may_name_unseen_stay() {
 }
 
 #[test]
+fn triangles_with_two_corners_at_one_place_do_not_keep_a_mesh_from_its_codec() {
+    let mut grid = grid(9);
+    grid.positions.push(grid.positions[7]);
+    grid.uvs.push([0.25; 2]);
+    let last = grid.positions.len() as u32 - 1;
+    grid.faces.extend([[7, last, 8], [7, 7, 8]]);
+    let (mut doc, _) = open(&json!({ "asset": { "version": "2.0" } }), &[]).unwrap();
+    let position = doc.append_accessor(&RawAccessor::from_floats(&grid.positions), Some(ARRAY_BUFFER), true);
+    let uv = doc.append_accessor(&RawAccessor::from_floats(&grid.uvs), Some(ARRAY_BUFFER), false);
+    let indices = RawAccessor::from_indices(grid.faces.as_flattened());
+    let indices = doc.append_accessor(&indices, Some(ELEMENT_ARRAY_BUFFER), false);
+    doc.json["meshes"] =
+        json!([{ "primitives": [{ "attributes": { "POSITION": position, "TEXCOORD_0": uv }, "indices": indices }] }]);
+    let (again, _, warnings) = delivered(&doc, Compression::Draco);
+    assert_eq!(warnings, ["degenerate_faces_dropped"]);
+    assert_eq!(again.origins.streams[0].stream[8], 1, "it makes use of edges");
+    assert!(elements(&again, "indices").count < 3 * grid.faces.len());
+}
+
+#[test]
 fn threads_do_not_matter() {
     let mut doc = every_type();
     let primitive = doc.json["meshes"][0]["primitives"][0].clone();

@@ -112,6 +112,17 @@ pub(super) fn compress(document: &Document, all: bool, out: &mut CompressedViews
                 (attributes, job.indices.map(place), view)
             }
             Done::Encoded(names, encoded) => {
+                if encoded.dropped > 0 {
+                    let text = format!(
+                        "{} triangles with two corners at one place, of which nothing is drawn, are left out: Draco does not carry them",
+                        encoded.dropped
+                    );
+                    for (mesh, index) in &job.places {
+                        context.warn(
+                            Warning::new("degenerate_faces_dropped", text.clone()).at(primitive_pointer(*mesh, *index)),
+                        );
+                    }
+                }
                 let view = place(out, encoded.stream.into(), own_view);
                 let mut attributes = Vec::new();
                 for (id, (name, raw)) in names.into_iter().zip(&encoded.attributes).enumerate() {

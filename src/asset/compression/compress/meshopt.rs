@@ -196,10 +196,10 @@ fn stream(raw: &RawAccessor, of: &Use, filter: Option<(Filter, i16)>, codec: Cod
             best = Some(Stream { layout, bytes });
         }
     };
-    if mode == Mode::Attributes && raw.component_type == ComponentType::F32 {
-        if let Some(elements) = exponential(&data, stride) {
-            offer(Filter::Exponential, &elements, &|read| read == data);
-        }
+    if let (Mode::Attributes, ComponentType::F32) = (mode, raw.component_type)
+        && let Some(elements) = exponential(&data, stride)
+    {
+        offer(Filter::Exponential, &elements, &|read| read == data);
     }
     if let (Some((Filter::Octahedral, one @ 1..)), Use::Vertex(_)) = (filter, of)
         && let Some(max) = most(raw)

@@ -159,7 +159,7 @@ fn grid(values: &[f32], components: usize, stream: &[u8]) -> Option<Grid> {
         let bits = *bits.first()?;
         let (floats, _) = floats.as_chunks::<4>();
         let range = floats.last().map(|b| f32::from_le_bytes(*b))?;
-        if !BITS.contains(&bits) || !(range.is_finite() && range > 0.0 && range >= 0.99 * extent) {
+        if !(BITS.contains(&bits) && range.is_finite() && range > 0.0 && range >= 0.99 * extent) {
             return None;
         }
         let origin: Vec<f32> = floats.iter().take(components).map(|b| f32::from_le_bytes(*b)).collect();
