@@ -43,8 +43,12 @@ pub(crate) fn resolve(
         merging: Merging::default(),
         tile: None,
         undefined: Default::default(),
+        origins: Default::default(),
+        compressed: None,
     };
-    let filtered = compression::views(&mut document, &mut budget, warnings, check)?;
+    document.origins.uploaded = Some(document.lengths());
+    document.origins.lengths = document.buffers.iter().map(Vec::len).collect();
+    let filtered = compression::views(&mut document, &mut budget, check)?;
     let lengths: Vec<usize> = document.buffers.iter().map(Vec::len).collect();
     accessor_layout::check(&document.json, &lengths, limits.max_input_bytes, warnings)?;
     check_triangles(&document.json, limits)?;

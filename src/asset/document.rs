@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use serde_json::Value;
 
+use super::compression::{CompressedViews, Origins};
 use super::tile::Tile;
 
 /// A file as uploaded: its relative path (forward slashes) and its bytes.
@@ -32,6 +33,10 @@ pub struct Document {
     pub tile: Option<Tile>,
     /// Materials that are defined in a file which was not uploaded: what they read is not known.
     pub undefined: BTreeSet<usize>,
+    /// What of it came compressed.
+    pub origins: Origins,
+    /// What of it is compressed, once it is ready to be saved.
+    pub compressed: Option<CompressedViews>,
 }
 
 /// Images that merging changed the standing of, by index.

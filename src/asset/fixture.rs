@@ -47,6 +47,8 @@ pub(crate) fn document(images: &[[u32; 2]]) -> Document {
         merging: Merging::default(),
         tile: None,
         undefined: Default::default(),
+        origins: Default::default(),
+        compressed: None,
     }
 }
 

@@ -76,7 +76,7 @@ pub fn load_while(
         return Err(Failure::model(format!("the file {} is UTF-16 text: save it as UTF-8", quote(&entry.path))));
     }
     let mut warnings = Vec::new();
-    let document = match container {
+    let mut document = match container {
         Container::Obj => obj::load(entry, &upload, limits, &mut warnings)?,
         Container::Gltf => {
             let json = parse_json(&entry.bytes, limits)?;
@@ -102,6 +102,7 @@ pub fn load_while(
             document
         }
     };
+    document.origins.decoded = Some(document.lengths());
     let plain = files.iter().filter(|f| !archive::is_zip(&f.bytes)).count();
     let unused = upload.unused(plain).into_iter().filter(|path| *path != entry.path);
     let unused = unused.map(|path| name::readable(&path).into_owned()).collect();

@@ -51,6 +51,7 @@ pub use accessor::{
 pub use accessor_layout::{AccessorLayout, kind_name};
 pub use append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER};
 pub(crate) use archive::{MAX_ENTRIES, check_entries};
+pub use compression::{CompressedViews, Origins};
 pub use document::{Document, File, Merging};
 pub use estimate::{Demand, Estimate, estimate};
 pub use gltf::json::accessor::{ComponentType, Type as Kind};
@@ -58,7 +59,7 @@ pub use limits::Limits;
 pub use load::{is_model_name, load, load_while, side_file};
 pub use material_index::MaterialIndex;
 pub use merge::{Counts, Merge, Merged, MergedMaterial, finish as finish_merge, prepare as prepare_merge};
-pub use options::{ReadOptions, Tiling, UvSet};
+pub use options::{Compression, ReadOptions, Tiling, UvSet};
 pub use save::to_gltf;
 pub use side_files::read_paths;
 pub(crate) use side_names::by_name as image_type;

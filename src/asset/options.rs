@@ -16,6 +16,22 @@ pub enum Tiling {
     Leave,
 }
 
+/// How the geometry of a model is compressed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Compression {
+    /// As it came: what did not change by its own bytes, the rest with the parameters that it had.
+    #[default]
+    Keep,
+    /// Not at all.
+    None,
+    /// EXT_meshopt_compression without loss; what came as KHR_meshopt_compression stays that.
+    Meshopt,
+    /// KHR_draco_mesh_compression: what came so with the parameters that it had, the rest with 14 bits for positions, 10 for normals, 15 for
+    /// texture coordinates that were not refined, 12 for weights and tangents, 8 for colours of floats; integers without loss.
+    Draco,
+}
+
 /// Which TEXCOORD set is refined, and which takes the new layout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum UvSet {

@@ -5,16 +5,18 @@
 
 use serde_json::Value;
 
-use super::extensions::GPU_INSTANCING;
+use super::extensions::{DRACO, GPU_INSTANCING};
 use super::json::{array, each_mut, keep, new_numbers, number, renumber};
 
-/// Takes out accessors and buffer views that nothing refers to, and numbers the others anew. Gives which of the
-/// views stay; none, with the document untouched, when a reference is broken.
-pub(crate) fn prune(json: &mut Value) -> Option<Vec<bool>> {
-    let used_accessors = used(json, "accessors", each_accessor)?;
+/// Takes out accessors and buffer views that nothing refers to, but for the first `least` of each, and numbers the others anew. Gives which
+/// of the views stay; none, with the document untouched, when a reference is broken.
+pub(crate) fn prune(json: &mut Value, least: [usize; 2]) -> Option<Vec<bool>> {
+    let mut used_accessors = used(json, "accessors", each_accessor)?;
+    used_accessors.iter_mut().take(least[0]).for_each(|used| *used = true);
     let mut pruned = json.clone();
     retain(&mut pruned, "accessors", &used_accessors, each_accessor);
-    let used_views = used(&mut pruned, "bufferViews", each_view)?;
+    let mut used_views = used(&mut pruned, "bufferViews", each_view)?;
+    used_views.iter_mut().take(least[1]).for_each(|used| *used = true);
     retain(&mut pruned, "bufferViews", &used_views, each_view);
     *json = pruned;
     Some(used_views)
@@ -84,6 +86,12 @@ fn each_view(json: &mut Value, f: &mut dyn FnMut(&mut Value)) {
     }
     for image in each_mut(json, "images") {
         field(image, "bufferView", f);
+    }
+    let stream = format!("/extensions/{DRACO}/bufferView");
+    for mesh in each_mut(json, "meshes") {
+        for primitive in each_mut(mesh, "primitives") {
+            primitive.pointer_mut(&stream).into_iter().for_each(&mut *f);
+        }
     }
 }
 

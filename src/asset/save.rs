@@ -19,8 +19,10 @@ use crate::error::{Failure, Result};
 enum ViewSource<'a> {
     /// A range of one of the document's buffers.
     Old { buffer: usize, offset: usize, length: usize },
-    /// An image.
+    /// An image, or a compressed primitive.
     New(&'a [u8]),
+    /// The stream that an extension names; the view itself has so many bytes of a buffer without contents.
+    Compressed { stream: &'a [u8], extension: &'static str, length: usize },
 }
 
 /// The document on its way out.
@@ -94,13 +96,22 @@ fn to_json(json: &Value) -> Result<Vec<u8>> {
 
 impl<'a> OutputDraft<'a> {
     fn new(document: &'a Document) -> Result<Self> {
+        let compressed = document.compressed.as_ref();
+        let json = compressed.map_or(&document.json, |c| &c.json);
         let mut sources = Vec::new();
-        for index in 0..list(&document.json, "bufferViews")?.len() {
-            let view = accessor_layout::view(&document.json, index)?;
+        for index in 0..list(json, "bufferViews")?.len() {
+            let view = accessor_layout::view(json, index)?;
+            if let Some(own) = compressed.and_then(|c| c.views.get(&index)) {
+                sources.push(match own.extension {
+                    Some(extension) => ViewSource::Compressed { stream: &own.bytes, extension, length: view.length },
+                    None => ViewSource::New(&own.bytes),
+                });
+                continue;
+            }
             document.view_bytes(index)?;
             sources.push(ViewSource::Old { buffer: view.buffer, offset: view.offset, length: view.length });
         }
-        Ok(OutputDraft { document, json: document.json.clone(), sources })
+        Ok(OutputDraft { document, json: json.clone(), sources })
     }
 
     fn image(&mut self, index: usize) -> Option<&mut serde_json::Map<String, Value>> {
@@ -153,16 +164,20 @@ impl<'a> OutputDraft<'a> {
 
     /// Takes out what nothing refers to, lays the bytes of all buffer views into one buffer and says so in the JSON.
     fn finish(&mut self, uri: Option<&str>) -> Result<Vec<u8>> {
-        let mut compact = false;
-        if extensions::all_understood(&self.json)
-            && let Some(kept) = prune::prune(&mut self.json)
-        {
+        let (mut compact, mut uploaded) = (false, false);
+        // Where something may name accessors and views unseen, those that came with the file stay.
+        let least = match self.document.origins.uploaded {
+            _ if extensions::all_understood(&self.document.json) => Some([0, 0]),
+            least => least.filter(|_| self.document.compressed.is_some()),
+        };
+        if let Some(kept) = least.and_then(|least| prune::prune(&mut self.json, least)) {
             let mut keep = kept.iter();
             self.sources.retain(|_| keep.next().copied().unwrap_or(true));
-            compact = kept.contains(&false);
+            compact = kept.contains(&false) || self.document.compressed.is_some();
+            uploaded = least != Some([0, 0]);
         }
         let mut bin = Vec::new();
-        let ranges = if compact { self.used_ranges() } else { self.whole_buffers() };
+        let ranges = if compact { self.used_ranges(uploaded) } else { self.whole_buffers() };
         let mut placed: Vec<PlacedRange> = Vec::with_capacity(ranges.len());
         for (buffer, start, end) in ranges {
             let bytes = self.document.buffers.get(buffer).and_then(|b| b.get(start..end)).unwrap_or_default();
@@ -175,15 +190,15 @@ impl<'a> OutputDraft<'a> {
         for source in &self.sources {
             offsets.push(match *source {
                 ViewSource::Old { buffer, offset, .. } => locate(&placed, buffer, offset)?,
-                ViewSource::New(bytes) => {
+                ViewSource::New(bytes) | ViewSource::Compressed { stream: bytes, .. } => {
                     bin.resize(bin.len().next_multiple_of(4), 0);
                     bin.extend_from_slice(bytes);
                     bin.len() - bytes.len()
                 }
             });
         }
-        self.write_views(&offsets, &placed)?;
-        self.write_buffers(bin.len(), uri);
+        let without_contents = self.write_views(&offsets, &placed)?;
+        self.write_buffers(bin.len(), uri, without_contents);
         Ok(bin)
     }
 
@@ -191,16 +206,20 @@ impl<'a> OutputDraft<'a> {
         self.document.buffers.iter().enumerate().map(|(index, bytes)| (index, 0, bytes.len())).collect()
     }
 
-    /// The bytes of the buffer views that are left; views may overlap.
-    fn used_ranges(&self) -> Vec<(usize, usize, usize)> {
+    /// The bytes of the buffer views that are left; views may overlap. With `uploaded` whatever came with the file too, but for the streams that
+    /// are replaced.
+    fn used_ranges(&self, uploaded: bool) -> Vec<(usize, usize, usize)> {
         let mut used: Vec<(usize, usize, usize)> = self
             .sources
             .iter()
             .filter_map(|source| match *source {
                 ViewSource::Old { buffer, offset, length } => Some((buffer, offset, offset + length)),
-                ViewSource::New(_) => None,
+                ViewSource::New(_) | ViewSource::Compressed { .. } => None,
             })
             .collect();
+        if uploaded {
+            used.extend(self.document.uploaded_ranges());
+        }
         used.sort_unstable();
         let mut merged: Vec<(usize, usize, usize)> = Vec::new();
         for (buffer, start, end) in used {
@@ -212,9 +231,21 @@ impl<'a> OutputDraft<'a> {
         merged
     }
 
-    fn write_views(&mut self, offsets: &[usize], placed: &[PlacedRange]) -> Result<()> {
-        let Some(views) = self.json.get_mut("bufferViews").and_then(Value::as_array_mut) else { return Ok(()) };
-        for (view, offset) in views.iter_mut().zip(offsets) {
+    /// Gives the length of the buffer without contents that compressed views name, and the extension that tells of it; none where there are none.
+    fn write_views(&mut self, offsets: &[usize], placed: &[PlacedRange]) -> Result<Option<(usize, &'static str)>> {
+        let mut without_contents: Option<(usize, &'static str)> = None;
+        let views = self.json.get_mut("bufferViews").and_then(Value::as_array_mut).into_iter().flatten();
+        for ((view, source), offset) in views.zip(&self.sources).zip(offsets) {
+            if let ViewSource::Compressed { stream, extension, length } = *source {
+                let (end, _) = without_contents.get_or_insert((0, extension));
+                set_number(view, "buffer", 1, None);
+                set_number(view, "byteOffset", *end, Some(0));
+                *end = (*end + length).next_multiple_of(4);
+                let own = &mut view["extensions"][extension];
+                set_number(own, "byteOffset", *offset, Some(0));
+                set_number(own, "byteLength", stream.len(), None);
+                continue;
+            }
             set_number(view, "buffer", 0, None);
             set_number(view, "byteOffset", *offset, Some(0));
             // Compression extensions name a buffer range of their own.
@@ -226,11 +257,11 @@ impl<'a> OutputDraft<'a> {
                 set_number(extension, "byteOffset", offset, Some(0));
             }
         }
-        Ok(())
+        Ok(without_contents)
     }
 
-    /// One buffer; the name and extras of the first stay.
-    fn write_buffers(&mut self, length: usize, uri: Option<&str>) {
+    /// One buffer; the name and extras of the first stay. Behind it that without contents.
+    fn write_buffers(&mut self, length: usize, uri: Option<&str>, without_contents: Option<(usize, &str)>) {
         let Some(root) = self.json.as_object_mut() else { return };
         if length == 0 {
             root.shift_remove("buffers");
@@ -246,6 +277,9 @@ impl<'a> OutputDraft<'a> {
         }
         set_number(&mut first, "byteLength", length, None);
         *buffers = json!([first]);
+        if let (Some((length, extension)), Some(buffers)) = (without_contents, buffers.as_array_mut()) {
+            buffers.push(json!({ "byteLength": length, "extensions": { extension: { "fallback": true } } }));
+        }
     }
 }
 

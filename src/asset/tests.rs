@@ -20,6 +20,8 @@ fn small() -> Document {
         merging: Default::default(),
         tile: None,
         undefined: Default::default(),
+        origins: Default::default(),
+        compressed: None,
     };
     let positions = RawAccessor::from_floats(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.1, 0.0]]);
     let position = doc.append_accessor(&positions, Some(ARRAY_BUFFER), true);

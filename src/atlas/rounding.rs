@@ -46,16 +46,16 @@ pub(crate) fn is_rounded(atlas: &Atlas) -> bool {
     atlas.corners.iter().zip(&atlas.page).all(is_on) && any
 }
 
-/// Puts all UV vertices on the grid; vertices of faces that do not face as they are to are moved by a few steps more. Gives the faces
+/// Puts all UV vertices on a grid of so many steps along the sides of their sheets, a power of two up to [`STEPS`]; vertices of faces that do not face as they are to are moved by a few steps more. Gives the faces
 /// for which that did not help. `facing` by face.
-pub(crate) fn round_uvs(atlas: &mut Atlas, facing: &[Facing]) -> Vec<FaceId> {
+pub(crate) fn round_uvs(atlas: &mut Atlas, facing: &[Facing], steps: f64) -> Vec<FaceId> {
     let mut step = vec![DVec2::ONE; atlas.uv.len()];
     for f in atlas.faces() {
         let sheet = atlas.sheets[usize::from(atlas.page[f.index()])].map(f64::from);
-        atlas.corners[f.index()].iter().for_each(|u| step[u.index()] = DVec2::from(sheet) / STEPS);
+        atlas.corners[f.index()].iter().for_each(|u| step[u.index()] = DVec2::from(sheet) / steps);
     }
     for (uv, step) in atlas.uv.iter_mut().zip(&step) {
-        *uv = (*uv / *step).round().clamp(DVec2::ZERO, DVec2::splat(STEPS)) * *step;
+        *uv = (*uv / *step).round().clamp(DVec2::ZERO, DVec2::splat(steps)) * *step;
     }
     let is_wrong = |atlas: &Atlas, f: FaceId| !facing[f.index()].is_met(atlas.uv_triangle(f));
     let mut wrong: Vec<FaceId> = atlas.faces().filter(|f| is_wrong(atlas, *f)).collect();
@@ -70,7 +70,7 @@ pub(crate) fn round_uvs(atlas: &mut Atlas, facing: &[Facing]) -> Vec<FaceId> {
         let mut touched = Vec::new();
         for f in std::mem::take(&mut wrong) {
             if is_wrong(atlas, f) {
-                mend(atlas, f, &stars, &step, &near, &is_wrong);
+                mend(atlas, f, &stars, &step, steps, &near, &is_wrong);
                 touched.extend(atlas.corners[f.index()].iter().flat_map(|u| stars.of(u.0)).map(|f| FaceId(*f)));
             }
         }
@@ -88,6 +88,7 @@ fn mend(
     face: FaceId,
     stars: &Grouped<u32>,
     step: &[DVec2],
+    steps: f64,
     near: &[DVec2],
     is_wrong: &dyn Fn(&Atlas, FaceId) -> bool,
 ) {
@@ -97,7 +98,7 @@ fn mend(
         let (at, before) = (atlas.uv[u.index()], count(atlas));
         for (k, by) in near.iter().enumerate() {
             let own = at + *by * step[u.index()];
-            if own.min_element() < 0.0 || (own / step[u.index()]).max_element() > STEPS {
+            if own.min_element() < 0.0 || (own / step[u.index()]).max_element() > steps {
                 continue;
             }
             atlas.uv[u.index()] = own;
@@ -157,7 +158,7 @@ mod tests {
             let facing: Vec<Facing> = before.faces().map(|f| Facing::Like(sign(f))).collect();
             let mut after = before.clone();
             assert!(!is_rounded(&before));
-            assert_eq!(round_uvs(&mut after, &facing), []);
+            assert_eq!(round_uvs(&mut after, &facing, STEPS), []);
             assert!(is_rounded(&after));
             let size = DVec2::new(4096.0, 2048.0);
             let written = |uv: DVec2| {
@@ -186,6 +187,6 @@ mod tests {
                 if f.0 == 3 { Facing::Like(-orientation(a, b, c)) } else { Facing::Like(orientation(a, b, c)) }
             })
             .collect();
-        assert_eq!(round_uvs(&mut atlas, &facing), [FaceId(3)]);
+        assert_eq!(round_uvs(&mut atlas, &facing, STEPS), [FaceId(3)]);
     }
 }

@@ -19,7 +19,7 @@ use intarsia::asset::{self, read_paths};
 use intarsia::config::{Cli, OptionFlags};
 use intarsia::error::{Code, Failure, Result};
 use intarsia::metrics::Verdict;
-use intarsia::refine::options::{ImportanceSource, Options, Output};
+use intarsia::refine::options::{Container, ImportanceSource, Options};
 use intarsia::refine::run::Input;
 use intarsia::refine::{parse, recipe};
 use serde_json::{Map, Value};
@@ -121,7 +121,7 @@ fn judge(verdict: &Verdict, note: &str) -> Result<()> {
 }
 
 /// The options of the flags: the file, then the recipe, then each `--set`. Every problem is told.
-fn read_options(flags: &OptionFlags, output: Option<Output>) -> Result<Options> {
+fn read_options(flags: &OptionFlags, output: Option<Container>) -> Result<Options> {
     let mut value = Value::Object(Map::new());
     if let Some(path) = &flags.options {
         let failed =

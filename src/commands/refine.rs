@@ -9,7 +9,7 @@ use std::time::Duration;
 use intarsia::config::Refine;
 use intarsia::context::Context;
 use intarsia::error::{Code, Failure, Result};
-use intarsia::refine::options::Output;
+use intarsia::refine::options::Container;
 use intarsia::refine::run::{Artifact, Input, Outcome, refine};
 use serde_json::Value;
 
@@ -57,12 +57,12 @@ pub fn run(arguments: &Refine) -> Result<()> {
 }
 
 /// The container that the output's name asks for.
-fn container(path: &Path) -> Result<Output> {
+fn container(path: &Path) -> Result<Container> {
     match path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).as_deref() {
-        Some("glb") => Ok(Output::Glb),
-        Some("gltf") => Ok(Output::Gltf),
-        Some("b3dm") => Ok(Output::B3dm),
-        Some("i3dm") => Ok(Output::I3dm),
+        Some("glb") => Ok(Container::Glb),
+        Some("gltf") => Ok(Container::Gltf),
+        Some("b3dm") => Ok(Container::B3dm),
+        Some("i3dm") => Ok(Container::I3dm),
         _ => {
             let text = format!(
                 "the output {} is no model: its name ends in .glb or .gltf, or as the input's in .b3dm or .i3dm",

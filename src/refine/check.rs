@@ -18,7 +18,7 @@ pub(super) fn violations(
     context: &Context,
 ) -> Result<std::result::Result<(), Vec<Violation>>> {
     context.check()?;
-    Ok(check(before, after, if is_rounded(after) { rounded(after) } else { Exactness::Exact }))
+    Ok(check(before, after, if is_rounded(after) { rounded(after, 0.0) } else { Exactness::Exact }))
 }
 
 /// What is wrong, as far as it says something to people: how many triangles would show what they should not. The rest goes to the log.
@@ -40,18 +40,27 @@ pub(super) fn told(violations: &[Violation]) -> String {
     told.collect::<Vec<_>>().join(", ")
 }
 
-/// Checks the Atlas that was read back from the written document.
+/// Whether an Atlas is sound whose texture coordinates were rounded to a grid of `step` texels: what touched may overlap by that.
+///
+/// # Errors
+/// `canceled`.
+pub(super) fn within(before: &Atlas, after: &Atlas, step: f64, context: &Context) -> Result<bool> {
+    context.check()?;
+    Ok(check(before, after, rounded(after, step)).is_ok())
+}
+
+/// Checks the Atlas that was read back from the written document, with texture coordinates on a grid of `step` texels, or on none.
 ///
 /// # Errors
 /// `internal` when it is broken, `canceled`.
-pub(super) fn written(before: &Atlas, after: &Atlas, context: &Context) -> Result<()> {
+pub(super) fn written(before: &Atlas, after: &Atlas, step: f64, context: &Context) -> Result<()> {
     context.check()?;
-    check(before, after, rounded(after))
+    check(before, after, rounded(after, step))
         .map_err(|wrong| Failure::internal(format!("the refined model is broken ({}), and is not delivered: the fault is Intarsia's, please report it with the model", told(&wrong))))
 }
 
-/// As texture coordinates of 32 bits are known.
-fn rounded(atlas: &Atlas) -> Exactness {
+/// As texture coordinates of 32 bits are known, on a grid of `step` texels.
+fn rounded(atlas: &Atlas, step: f64) -> Exactness {
     let longest = atlas.sheets.iter().flatten().copied().max().unwrap_or(1);
-    Exactness::Rounded(ROUNDING * f64::from(longest))
+    Exactness::Rounded(step.max(ROUNDING * f64::from(longest)))
 }

@@ -4,7 +4,7 @@ use std::io::Write as _;
 
 use super::fabrication::{FabricationParams, panels, worst_scale};
 use super::load::Loaded;
-use super::options::{Options, Output};
+use super::options::{Container, Options};
 use super::refinement::Refinement;
 use super::report::report;
 use super::run::{Artifact, Input, Outcome};
@@ -31,7 +31,13 @@ pub(super) fn deliver(
     written: Written<'_>,
     context: &Context,
 ) -> Result<Outcome> {
-    let Written { refinements, documents, merged } = written;
+    let Written { refinements, mut documents, merged } = written;
+    context.step(0.4, "compressing")?;
+    for (index, document) in documents.iter_mut().enumerate() {
+        loaded.speak_of(index, context);
+        document.compress(options.output.compression, context)?;
+    }
+    context.speak_of(None);
     context.step(0.5, "measuring")?;
     let mut panels = Vec::new();
     if let Some(params) = &options.fabrication {
@@ -46,7 +52,7 @@ pub(super) fn deliver(
     let report = serde_json::to_value(&report).map_err(|e| Failure::internal(e.to_string()))?;
 
     context.step(0.8, "saving")?;
-    let mut artifacts = models(&documents, options.output)?;
+    let mut artifacts = models(&documents, options.output.container)?;
     let text = serde_json::to_vec_pretty(&report).map_err(|e| Failure::internal(e.to_string()))?;
     artifacts.push(Artifact::new("report.json", "report", "application/json", text));
     artifacts.append(&mut panels);
@@ -67,15 +73,15 @@ pub(super) fn deliver(
 }
 
 /// The models as files: `model`, or `model-0`, `model-1`, … where there are several.
-fn models(documents: &[Document], output: Output) -> Result<Vec<Artifact>> {
+fn models(documents: &[Document], output: Container) -> Result<Vec<Artifact>> {
     let stem = |index: usize| if documents.len() == 1 { "model".to_owned() } else { format!("model-{index}") };
-    if output == Output::Gltf {
+    if output == Container::Gltf {
         let named: Vec<(String, &Document)> = documents.iter().enumerate().map(|(i, d)| (stem(i), d)).collect();
         return Ok(asset::to_gltf(&named)?.into_iter().map(side_file).collect());
     }
     let model = |(index, doc): (usize, &Document)| {
         let kind = doc.tile.as_ref().map(|tile| tile.kind);
-        let tile = if output.of(kind)? == Output::Glb { None } else { doc.to_tile()? };
+        let tile = if output.of(kind)? == Container::Glb { None } else { doc.to_tile()? };
         Ok(match kind.zip(tile) {
             // 3D Tiles 1.0 gives its tiles no media type of their own.
             Some((kind, bytes)) => {

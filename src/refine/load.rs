@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::group::{Group, can_join};
 use super::importance::{Importance, Subject, importances};
-use super::options::{ImportanceSource, Options, Output};
+use super::options::{Container, ImportanceSource, Options};
 use super::refinement::Refinement;
 use super::run::Input;
 use super::textures::exempt_uniform;
@@ -201,7 +201,7 @@ fn read(
         context.warn(warning);
     }
     let tile = doc.tile.as_ref().map(|tile| tile.kind);
-    if let (Output::Glb | Output::Gltf, Some(kind)) = (options.output.of(tile)?, tile) {
+    if let (Container::Glb | Container::Gltf, Some(kind)) = (options.output.container.of(tile)?, tile) {
         let name = kind.extension();
         let text = format!(
             "the model comes out of its .{name} without the feature table and the batch table, which may hold its place on the globe, its batches and its instances: ask for a .{name} to keep them"

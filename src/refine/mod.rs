@@ -14,6 +14,7 @@ pub mod importance;
 mod load;
 pub mod optcuts;
 pub mod options;
+mod output;
 mod pack;
 pub mod parse;
 pub mod recipe;

@@ -11,13 +11,14 @@ use utoipa::{PartialSchema, ToSchema};
 use super::erased::{ErasedStage, NamedSchemas, forget_default};
 pub use super::fabrication::{FabricationParams, Seams};
 pub use super::importance::ImportanceSource;
+pub use super::output::{Container, Output, OutputOptions};
 pub use super::recipe::Recipe;
 use super::recipe::{PRESETS, PresetStage, Step, preset};
 use super::stage::Stage;
 use super::table::{self, StageSections};
-use crate::asset::{Demand, ReadOptions, TileKind, Tiling, UvSet};
+use crate::asset::{Demand, ReadOptions, Tiling, UvSet};
 use crate::atlas::OverlapMode;
-use crate::error::{Code, Failure, Result, WARNINGS};
+use crate::error::WARNINGS;
 use crate::metrics::{self, Requirement};
 use crate::packing::{Pack, Rotation};
 use crate::params::params;
@@ -44,7 +45,7 @@ pub struct Options {
     pub importance: Option<ImportanceSource>,
     /// Panels to cut from sheets, drawn of the refined charts; null draws none.
     pub fabrication: Option<FabricationParams>,
-    /// Container of the output model.
+    /// What the output model is: its container, or an object of `container` and `compression`.
     pub output: Output,
     /// Requirements on the report: a dotted path to its bounds.
     pub require: BTreeMap<String, Requirement>,
@@ -229,47 +230,5 @@ impl AtlasOptions {
     /// What reading a model needs of them.
     pub fn reading(&self) -> ReadOptions {
         ReadOptions { uv_set: self.uv_set, tiling: self.tiling }
-    }
-}
-
-/// Container of the output model.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Output {
-    /// The 3D tile that the model came in, else one binary file (GLB).
-    #[default]
-    Auto,
-    /// One binary file.
-    Glb,
-    /// JSON with side files.
-    Gltf,
-    /// The batched 3D model (3D Tiles 1.0) that the input is, its tables kept.
-    B3dm,
-    /// The instanced 3D model (3D Tiles 1.0) that the input is, its tables kept.
-    I3dm,
-}
-
-impl Output {
-    /// The container of a model that came in a tile, or in none.
-    ///
-    /// # Errors
-    /// `invalid_options` where that tile is not at hand.
-    pub fn of(self, tile: Option<TileKind>) -> Result<Self> {
-        let own = match tile {
-            None => Output::Glb,
-            Some(TileKind::B3dm) => Output::B3dm,
-            Some(TileKind::I3dm) => Output::I3dm,
-        };
-        match self {
-            Output::Auto => Ok(own),
-            Output::B3dm | Output::I3dm if self != own => {
-                let wanted = if self == Output::B3dm { "b3dm" } else { "i3dm" };
-                let message = format!(
-                    "a .{wanted} is asked for, and the model did not come in one: its feature table and batch table would be missing; ask for .glb"
-                );
-                Err(Failure::new(Code::InvalidOptions, message).at("/output"))
-            }
-            other => Ok(other),
-        }
     }
 }

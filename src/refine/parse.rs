@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value};
 
-use super::options::{Options, Output};
+use super::options::{Container, Options, OutputOptions};
 use crate::config::OptionFlags;
 use crate::error::{Code, Failure, WARNINGS};
 use crate::metrics::Requirement;
@@ -57,6 +57,9 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
                 let base = out.fabrication.clone().unwrap_or_default();
                 out.fabrication = Some(section(&base, value, &pointer, &mut problems));
             }
+            "output" if value.is_object() => {
+                out.output = section(&OutputOptions::default(), value, &pointer, &mut problems).into();
+            }
             "strict" => out.strict = strict(value, &pointer, &mut problems),
             "require" => out.require = requirements(value, &pointer, &mut problems),
             _ if !known.contains(key) => problems.push(unknown_option(&pointer, key, &known)),
@@ -72,9 +75,10 @@ pub fn options(value: &Value) -> Result<Options, Vec<Problem>> {
             },
         }
     }
-    let Options { recipe, pack, stages, texture, atlas, fabrication, require, strict, .. } = out;
+    let Options { recipe, pack, stages, texture, atlas, fabrication, output, require, strict, .. } = out;
     let plain: Options = typed(&Value::Object(plain), "").unwrap_or_default();
-    let out = Options { recipe, pack, stages, texture, atlas, fabrication, require, strict, ..plain };
+    let output = if value.get("output").is_some_and(Value::is_object) { output } else { plain.output };
+    let out = Options { recipe, pack, stages, texture, atlas, fabrication, output, require, strict, ..plain };
     problems.extend(ranges::ranges(&out));
     if problems.is_empty() { Ok(out) } else { Err(problems) }
 }
@@ -97,12 +101,21 @@ fn unknown_option(pointer: &str, key: &str, known: &[String]) -> Problem {
 ///
 /// # Errors
 /// All problems.
-pub fn command_line(mut value: Value, flags: &OptionFlags, container: Option<Output>) -> Result<Options, Vec<Problem>> {
+pub fn command_line(
+    mut value: Value,
+    flags: &OptionFlags,
+    container: Option<Container>,
+) -> Result<Options, Vec<Problem>> {
     let recipe = flags.recipe.as_deref().map(recipe_named);
     let container = container.map(|container| serde_json::to_value(container).unwrap_or_default());
     if let Some(map) = value.as_object_mut() {
         map.extend(recipe.map(|recipe| ("recipe".to_owned(), recipe)));
-        map.extend(container.map(|container| ("output".to_owned(), container)));
+        if let Some(container) = container {
+            // What the file says of compression stays.
+            let mut output = map.get("output").and_then(Value::as_object).cloned().unwrap_or_default();
+            output.insert("container".to_owned(), container);
+            map.insert("output".to_owned(), Value::Object(output));
+        }
     }
     let mut problems: Vec<Problem> = flags.set.iter().filter_map(|text| set(&mut value, text).err()).collect();
     match options(&value) {

@@ -10,7 +10,8 @@ use super::recipe::Step;
 use super::stage::{SheetInfo, StageInput, Staged};
 use super::textures::BakedSlot;
 use super::{check, fabrication};
-use crate::atlas::Atlas;
+use crate::atlas::rounding::{Facing, STEPS, round_uvs};
+use crate::atlas::{Atlas, FaceId, orientation};
 use crate::context::Context;
 use crate::error::{Result, Warning};
 use crate::metrics::{RefinementOutcome, StageReport};
@@ -24,6 +25,14 @@ const CHARTS_GIVEN_BACK: &str = "charts_given_back";
 
 /// Why a stage ended whose result was not taken because it has too many pixels.
 pub(super) const NOT_SMALLER: &str = "not_smaller";
+
+/// Steps of the grid of texture coordinates in a texel, where geometry is compressed: what a 32nd of a texel changes in a picture is below the
+/// rounding of 8 bits (66 dB on a scan), and each bit more costs a quarter of a byte for each vertex.
+const STEPS_OF_A_TEXEL: f64 = 16.0;
+/// Texels by which a texture coordinate may be moved: more than rounding needs, where a face would be turned over otherwise.
+const MOST_MOVED: f64 = 0.25;
+/// Steps along the side of a sheet, at least.
+const LEAST_STEPS: f64 = 4096.0;
 
 /// Figures of stages that say that a part of the surface was not refined.
 const LEFT_AS_UPLOADED: [&str; 4] = ["held_back", "charts_given_back", "charts_kept", "pieces_reverted"];
@@ -42,13 +51,22 @@ pub(super) struct Refinement<'a> {
     pub stages: Vec<StageReport>,
     /// The images, once they are baked.
     pub slots: Vec<BakedSlot>,
+    /// Texels by which texture coordinates were rounded, at most.
+    pub step: f64,
+}
+
+/// An Atlas with its texture coordinates on a grid.
+pub(super) struct Rounded {
+    pub atlas: Atlas,
+    /// Texels from one place of the grid to the next.
+    pub step: f64,
 }
 
 impl<'a> Refinement<'a> {
     /// Before any stage.
     pub fn untouched(group: &'a Group) -> Self {
         let atlas = group.set().atlas.clone();
-        Refinement { group, atlas, kept: true, partly: false, stages: Vec::new(), slots: Vec::new() }
+        Refinement { group, atlas, kept: true, partly: false, stages: Vec::new(), slots: Vec::new(), step: 0.0 }
     }
 
     /// What became of it.
@@ -118,6 +136,52 @@ impl<'a> Refinement<'a> {
         let least = if options.pack.gutter == Gutter::Auto { 0 } else { sheet_info.gutter(&options.pack) };
         let gutter = Gutter::Texels(wanted.max(least));
         Some(Options { pack: Pack { gutter, ..options.pack.clone() }, ..options.clone() })
+    }
+
+    /// The Atlas with its texture coordinates on a grid that codecs of geometry keep exactly: what is delivered is then what is in memory. The finest
+    /// grid of 32-bit floats stands in where a coarser one would turn faces over; none where that would do so too. Images are baked for the Atlas as it
+    /// is: texels are copied by where charts were put, and are off by a part of a step only.
+    ///
+    /// # Errors
+    /// `canceled`.
+    pub fn rounded(&self, context: &Context) -> Result<Option<Rounded>> {
+        let is_inside = |f: FaceId| {
+            let [width, height] = self.atlas.sheets[usize::from(self.atlas.page[f.index()])].map(f64::from);
+            self.atlas.uv_triangle(f).iter().all(|p| p.min_element() >= 0.0 && p.x <= width && p.y <= height)
+        };
+        if !self.atlas.has_layout() || !self.atlas.faces().all(is_inside) {
+            return Ok(None);
+        }
+        let longest = self.atlas.sheets.iter().flatten().copied().max().unwrap_or(1);
+        let facing: Vec<Facing> = self
+            .atlas
+            .faces()
+            .map(|f| {
+                let [a, b, c] = self.atlas.uv_triangle(f);
+                match orientation(a, b, c) {
+                    0 => Facing::NotAgainst(0),
+                    sign => Facing::Like(sign),
+                }
+            })
+            .collect();
+        let mut steps = STEPS_OF_A_TEXEL * f64::from(longest.next_power_of_two());
+        loop {
+            steps = steps.clamp(LEAST_STEPS, STEPS);
+            let mut atlas = self.atlas.clone();
+            let is_whole = round_uvs(&mut atlas, &facing, steps).is_empty();
+            let step = f64::from(longest) / steps;
+            let is_close = || {
+                let moved = self.atlas.uv.iter().zip(&atlas.uv).map(|(a, b)| (*a - *b).abs().max_element());
+                moved.fold(0.0, f64::max) <= MOST_MOVED
+            };
+            if is_whole && is_close() && check::within(&self.group.set().atlas, &atlas, step, context)? {
+                return Ok(Some(Rounded { atlas, step }));
+            }
+            if steps >= STEPS {
+                return Ok(None);
+            }
+            steps *= 4.0;
+        }
     }
 
     /// Records that a stage ran.

@@ -3,10 +3,11 @@
 use serde_json::Value;
 
 use super::deliver::deliver;
+use super::group::Member;
 use super::load::{Loaded, load};
-use super::options::{Options, Output};
+use super::options::{Container, Options};
 use super::recipe::Step;
-use super::refinement::{Refinement, STAGE_REVERTED};
+use super::refinement::{Refinement, Rounded, STAGE_REVERTED};
 use super::report::report;
 use super::textures::{Images, bake_slots};
 use super::write::write;
@@ -123,7 +124,7 @@ impl<'a> Run<'a> {
         let baked = self.bake(&loaded, refined)?;
         self.context.enter(2 + self.steps.len());
         // Where textures are files of their own, side files are these.
-        let named = self.input.extras && self.options.output == Output::Gltf;
+        let named = self.input.extras && self.options.output.container == Container::Gltf;
         let written = write(&loaded, baked, named, self.context)?;
         let outcome = deliver(self.input, self.options, &loaded, written, self.context)?;
         self.context.finish();
@@ -160,7 +161,16 @@ impl<'a> Run<'a> {
         for (n, r) in refinements.iter_mut().enumerate().filter(|(_, r)| !r.kept) {
             let progress = |fraction: f64| (n as f64 + fraction) / count as f64;
             let images = begun.take().filter(|_| n == 0).unwrap_or_else(|| self.images(loaded, r));
-            r.slots = bake_slots(images, &r.atlas, &self.options.texture, self.context, &progress)?;
+            let of = |m: &Member| &loaded.models[m.model].doc;
+            let mut rounded = None;
+            if r.group.members.iter().any(|m| of(m).is_compressed(self.options.output.compression)) {
+                rounded = r.rounded(self.context)?;
+            }
+            let layouts = [&r.atlas, rounded.as_ref().map_or(&r.atlas, |rounded| &rounded.atlas)];
+            r.slots = bake_slots(images, layouts, &self.options.texture, self.context, &progress)?;
+            if let Some(Rounded { atlas, step }) = rounded {
+                (r.atlas, r.step) = (atlas, step);
+            }
         }
         Ok(refinements)
     }

@@ -94,13 +94,14 @@ fn active(group: &Group) -> impl Iterator<Item = (usize, &Slot)> {
     group.set().slots.iter().enumerate().filter(|(_, s)| !s.exempt)
 }
 
-/// Bakes every slot of the group that is not exempt, one at a time. `progress` maps the fraction of this set to that of the stage.
+/// Bakes every slot of the group that is not exempt, one at a time, for the layout `after`; how much it is like what was uploaded is measured through
+/// `delivered`, whose texture coordinates are rounded as they are written. `progress` maps the fraction of this set to that of the stage.
 ///
 /// # Errors
 /// `invalid_image` with a pointer for an image that cannot be decoded, `too_large`, `canceled`.
 pub fn bake_slots(
     mut images: Images<'_>,
-    after: &Atlas,
+    [after, delivered]: [&Atlas; 2],
     options: &Texture,
     context: &Context,
     progress: &dyn Fn(f64) -> f64,
@@ -111,7 +112,7 @@ pub fn bake_slots(
     for (n, (index, slot)) in active(group).enumerate() {
         context.step(progress(n as f64 / count as f64), &slot.name)?;
         let images = images.first.take().unwrap_or_else(|| images.decoded(index, slot))?;
-        baked.push(bake_slot(loaded, group, after, options, (index, slot), images, context)?);
+        baked.push(bake_slot(loaded, group, [after, delivered], options, (index, slot), images, context)?);
     }
     Ok(baked)
 }
@@ -159,7 +160,7 @@ fn turns(image: &DynamicImage, role: Role) -> bool {
 fn bake_slot(
     loaded: &Loaded,
     group: &Group,
-    after: &Atlas,
+    [after, delivered]: [&Atlas; 2],
     options: &Texture,
     (index, slot): (usize, &Slot),
     images: Vec<DynamicImage>,
@@ -221,6 +222,7 @@ fn bake_slot(
         return Ok(BakedSlot { slot: index, files, verbatim_texels, resampled_area: 0.0, fidelity, layout_fidelity });
     }
     let Baked { pages, verbatim_texels, resampled_area, .. } = bake(&job, context)?;
+    let job = Bake { after: delivered, ..job };
     let (layout, written) = rayon::join(
         || {
             let uploaded = UploadedColors::new(&job, FIDELITY_SAMPLES, context)?;

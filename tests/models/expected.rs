@@ -14,8 +14,8 @@ use Expected::{Left, Refined};
 /// Authored models.
 pub const AUTHORED: [(&str, Expected); 20] = [
     ("pbr/cesium_Balloon_ktx2/CesiumBalloonKTX2Hacky.glb", Refined(&["tiling_too_large"])),
-    ("pbr/cesium_Duck_meshopt/Duck-vp-12-vt-12-vn-12.glb", Refined(&["decompressed"])),
-    ("pbr/cesium_MilkTruck_draco/CesiumMilkTruck.gltf", Refined(&["accessor_count_corrected", "decompressed"])),
+    ("pbr/cesium_Duck_meshopt/Duck-vp-12-vt-12-vn-12.glb", Refined(&[])),
+    ("pbr/cesium_MilkTruck_draco/CesiumMilkTruck.gltf", Refined(&["accessor_count_corrected"])),
     ("pbr/draco_Fox/Fox.gltf", Refined(&[])),
     ("pbr/draco_TextureTransformTest/TextureTransformTest.gltf", Refined(&[])),
     ("pbr/gltft_chr_knight/chr_knight.glb", Left(&["nothing_to_refine", "palette_texture"])),
@@ -38,7 +38,7 @@ pub const AUTHORED: [(&str, Expected); 20] = [
 /// Scans.
 pub const SCANS: [(&str, Expected); 10] = [
     ("scans/loaders_agi_ktx2.glb", Refined(&[])),
-    ("scans/loaders_tile.glb", Refined(&["decompressed"])),
+    ("scans/loaders_tile.glb", Refined(&[])),
     ("scans/meshroom_esp32cam/texturedMesh.obj", Refined(&[])),
     ("scans/planeopt_copyroom/copyroom_c2000_opt.obj", Refined(&[])),
     ("scans/ycb_002_master_chef_can/textured.obj", Refined(&[])),

@@ -34,6 +34,8 @@ pub fn tiny() -> Document {
         merging: Default::default(),
         tile: None,
         undefined: Default::default(),
+        origins: Default::default(),
+        compressed: None,
     };
     let places = [[0.5, 0.5], [0.25, 0.75], [0.25, 0.25], [0.75, 0.25], [0.75, 0.75]];
     let mut floats = |values: &RawAccessor, bounds| doc.append_accessor(values, Some(ARRAY_BUFFER), bounds);

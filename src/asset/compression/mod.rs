@@ -1,15 +1,19 @@
-//! Compressed geometry, decompressed while a model is loaded: what comes after sees an ordinary document.
+//! Compressed geometry, decompressed while a model is loaded, so that what comes after sees an ordinary document, and compressed again before it is saved.
 //!
 //! [`views`] decodes buffer views (EXT_meshopt_compression, KHR_meshopt_compression), [`primitives`] primitives
-//! (KHR_draco_mesh_compression). Indices of buffer views and accessors stay; decoded bytes are appended to a buffer, the
-//! extensions are removed, and the model is written uncompressed, as a warning for each of them says.
+//! (KHR_draco_mesh_compression). Indices of buffer views and accessors stay; decoded bytes are appended to a buffer, and the
+//! extensions are removed. [`origin`] keeps how everything came, and [`compress`] has it leave so: what did not change by its own stream.
 
+mod compress;
 mod draco;
 mod meshopt;
+mod origin;
 mod primitives;
 mod squeeze;
 mod views;
 
+pub use compress::CompressedViews;
+pub use origin::Origins;
 pub(crate) use primitives::primitives;
 pub(crate) use views::{placeholders, renew_bounds, views};
 
@@ -18,7 +22,7 @@ use serde_json::Value;
 
 use super::extensions::retain;
 use super::json::read_key;
-use crate::error::{Result, Warning};
+use crate::error::Result;
 
 /// An extension of a glTF object, where it has one.
 ///
@@ -34,12 +38,6 @@ fn remove_extension(owner: &mut Value, name: &str) {
     if let Some(object) = owner.as_object_mut() {
         retain(object, |other| other != name);
     }
-}
-
-/// Says that an extension is gone, with the bytes before and after.
-fn decompressed(name: &str, before: usize, after: usize) -> Warning {
-    let message = format!("{name} was decompressed, {before} bytes to {after}: the output is written without it");
-    Warning::new("decompressed", message)
 }
 
 #[cfg(test)]

@@ -1,12 +1,14 @@
 //! Primitives with a Draco stream.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::draco::{self, Bounds};
-use super::{decompressed, extension, remove_extension};
+use super::origin::{StreamOrigin, hash};
+use super::{extension, remove_extension};
 use crate::asset::accessor::RawAccessor;
 use crate::asset::accessor_layout::{self, AccessorLayout};
 use crate::asset::append::{ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, set_bounds};
@@ -65,20 +67,14 @@ pub(crate) fn primitives(
 ) -> Result<()> {
     let jobs = jobs(&document.json, warnings)?;
     let mut filled: BTreeMap<usize, Filler> = BTreeMap::new();
-    let mut streams: BTreeMap<usize, usize> = BTreeMap::new();
-    let mut after = 0;
     for job in &jobs {
         check()?;
-        after += decode(document, job, limits, budget, &mut filled, warnings, check)?;
-        streams.insert(job.view, accessor_layout::view(&document.json, job.view)?.length);
+        decode(document, job, limits, budget, &mut filled, warnings, check)?;
     }
     for mesh in each_mut(&mut document.json, "meshes") {
         each_mut(mesh, "primitives").for_each(|primitive| remove_extension(primitive, DRACO));
     }
     undeclare(&mut document.json, DRACO);
-    if !jobs.is_empty() {
-        warnings.push(decompressed(DRACO, streams.values().sum(), after));
-    }
     Ok(())
 }
 
@@ -132,7 +128,7 @@ fn job(value: &Value, own: &str, mesh: usize, primitive: usize) -> Result<Option
     Ok(Some(Job { mesh, primitive, pointer, view: stream.buffer_view, attributes, indices, outside }))
 }
 
-/// Decodes one primitive; gives the bytes of its elements.
+/// Decodes one primitive, and notes how it came.
 fn decode(
     document: &mut Document,
     job: &Job,
@@ -141,7 +137,7 @@ fn decode(
     filled: &mut BTreeMap<usize, Filler>,
     warnings: &mut Vec<Warning>,
     check: &dyn Fn() -> Result<()>,
-) -> Result<usize> {
+) -> Result<()> {
     let own = format!("/meshes/{}/primitives/{}", job.mesh, job.primitive);
     let accessor = |index: usize| accessor_layout::accessor(&document.json, index);
     let accessors = job.attributes.iter().map(|(_, index, _)| accessor(*index)).collect::<Result<Vec<_>>>()?;
@@ -165,7 +161,8 @@ fn decode(
     let faces = (stream.len() as u64).saturating_mul(MOST_FACES_PER_BYTE).min(limits.max_triangles);
     let bytes = faces.saturating_mul(3 * MOST_VERTEX_BYTES).min(limits.max_input_bytes);
     let held = Bounds { faces: faces.max(declared.faces), bytes: bytes.max(declared.bytes) };
-    let mesh = draco::decode(stream, [declared, held], check).map_err(|e| match e.code {
+    let stream: Arc<[u8]> = stream.into();
+    let mesh = draco::decode(&stream, [declared, held], check).map_err(|e| match e.code {
         Code::Canceled => e,
         _ => e.at(job.pointer.clone()),
     })?;
@@ -185,20 +182,21 @@ fn decode(
         warnings.push(Warning::new("accessor_count_corrected", message).at(own.clone()));
     }
 
-    let mut after = 0;
+    let (mut attributes, mut filling) = (Vec::new(), Vec::new());
     for ((name, index, id), accessor) in job.attributes.iter().zip(&accessors) {
         let raw = draco::attribute(&mesh, *id, accessor).map_err(|why| mismatch(*index, name, &why))?;
-        after += raw.data.len();
         let bounds = name == "POSITION" || document.json["accessors"][*index].get("min").is_some();
         let place = fill(document, *index, &raw, ARRAY_BUFFER, bounds, (job.view, Some(*id)), filled);
         document.json["meshes"][job.mesh]["primitives"][job.primitive]["attributes"][name.as_str()] =
             Value::from(place);
+        document.origins.attributes.entry(place).or_insert_with(|| draco::quantization(&mesh, *id, &stream));
+        attributes.push((name.clone(), place, *id));
+        filling.push(raw);
     }
     let raw = draco::indices(&mesh, indices.component_type).map_err(|why| match job.indices {
         Some(index) => mismatch(index, "indices", &why),
         None => Failure::model(why).at(own.clone()),
     })?;
-    after += raw.data.len();
     let place = match job.indices {
         Some(index) => {
             let bounds = document.json["accessors"][index].get("min").is_some();
@@ -207,7 +205,12 @@ fn decode(
         None => document.append_accessor(&raw, Some(ELEMENT_ARRAY_BUFFER), false),
     };
     document.json["meshes"][job.mesh]["primitives"][job.primitive]["indices"] = Value::from(place);
-    Ok(after)
+    filling.push(raw);
+    let hash = hash(filling.iter());
+    let view = accessor_layout::view(&document.json, job.view)?;
+    let range = [view.buffer, view.offset, view.offset + view.length];
+    document.origins.streams.push(StreamOrigin { stream, attributes, indices: place, view: job.view, range, hash });
+    Ok(())
 }
 
 fn mismatch(accessor: usize, name: &str, why: &str) -> Failure {

@@ -1,21 +1,23 @@
 //! Buffer views with a compressed source.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::meshopt::{Filter, StreamLayout, decode};
+use super::meshopt::{Filter, StreamLayout, decode, one_of_octahedral};
+use super::origin::{ViewOrigin, hash_of_bytes};
 use super::squeeze::squeeze;
-use super::{decompressed, extension, remove_extension};
+use super::{extension, remove_extension};
 use crate::asset::Document;
 use crate::asset::accessor::raw_elements;
 use crate::asset::accessor_layout::view;
 use crate::asset::append::set_bounds;
 use crate::asset::extensions::{MESHOPT, undeclare};
-use crate::asset::json::{each_mut, list, read_key};
+use crate::asset::json::{array, each_mut, list, number, object, read_key};
 use crate::asset::limits::Budget;
-use crate::error::{Code, Failure, Result, Warning};
+use crate::error::{Code, Failure, Result};
 
 /// What the extension of a buffer says.
 #[derive(Deserialize)]
@@ -80,11 +82,9 @@ pub(crate) fn placeholders(json: &Value) -> Result<BTreeSet<usize>> {
 pub(crate) fn views(
     document: &mut Document,
     budget: &mut Budget,
-    warnings: &mut Vec<Warning>,
     check: &dyn Fn() -> Result<()>,
 ) -> Result<BTreeSet<usize>> {
     let mut filtered = BTreeSet::new();
-    let mut bytes = [[0; 2]; MESHOPT.len()];
     let mut sources = BTreeSet::new();
     for index in 0..list(&document.json, "bufferViews")?.len() {
         let Some(source) = source(&document.json["bufferViews"][index], index)? else { continue };
@@ -97,7 +97,8 @@ pub(crate) fn views(
         let pointer = format!("/bufferViews/{index}");
         let (parent, size) = target(&document.json, index, &source, &pointer)?;
         budget.charge(size, &pointer)?;
-        let data = decode(stream, &source.layout)
+        let stream: Arc<[u8]> = stream.into();
+        let data = decode(&stream, &source.layout)
             .map_err(|why| Failure::model(format!("the compressed stream {why}")).at(source.pointer.clone()))?;
 
         let count = document.buffers.len();
@@ -117,24 +118,43 @@ pub(crate) fn views(
         if source.layout.filter != Filter::None {
             filtered.insert(index);
         }
-        for (name, [before, after]) in MESHOPT.iter().zip(&mut bytes) {
-            if *name == source.name {
-                *before += byte_length;
-                *after += size;
-            }
-        }
+        let (name, layout) = (source.name, source.layout);
+        document.origins.views.insert(
+            index,
+            ViewOrigin { name, layout, stream, range: [from, start, start + byte_length], hash: hash_of_bytes(&data) },
+        );
     }
-    for (name, [before, after]) in MESHOPT.iter().zip(bytes) {
+    for name in MESHOPT {
         each_mut(&mut document.json, "buffers").for_each(|buffer| remove_extension(buffer, name));
         undeclare(&mut document.json, name);
-        if after > 0 {
-            warnings.push(decompressed(name, before, after));
-        }
     }
     for buffer in sources {
         squeeze(document, buffer);
     }
+    note_filters(document)?;
     Ok(filtered)
+}
+
+/// Notes which attributes came through a filter.
+fn note_filters(document: &mut Document) -> Result<()> {
+    if document.origins.views.is_empty() {
+        return Ok(());
+    }
+    let mut found = Vec::new();
+    for primitive in list(&document.json, "meshes")?.iter().flat_map(|mesh| array(mesh, "primitives")) {
+        for (name, accessor) in object(primitive, "attributes").into_iter().flatten() {
+            let accessor = number(accessor).and_then(|index| array(&document.json, "accessors").get(index));
+            let view = accessor.and_then(|a| a.get("bufferView")).and_then(number);
+            let origin = view.and_then(|view| document.origins.views.get(&view));
+            let Some(origin) = origin.filter(|o| o.layout.filter != Filter::None) else { continue };
+            if !document.origins.filters.contains_key(name) {
+                let one = one_of_octahedral(&origin.stream, &origin.layout).unwrap_or_default();
+                found.push((name.clone(), (origin.layout.filter, one)));
+            }
+        }
+    }
+    document.origins.filters.extend(found);
+    Ok(())
 }
 
 /// Gives accessors on these buffer views the least and greatest values that they have, where they name them.

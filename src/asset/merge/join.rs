@@ -140,7 +140,9 @@ pub(super) fn joined(doc: &mut Document, parts: &[(Value, Option<DMat4>)]) -> Re
             }
         }
         if let Some(whole) = whole {
+            let source = index(doc, first.pointer(&format!("/attributes/{name}")).unwrap_or(&Value::Null))?;
             let accessor = doc.append_accessor(&whole, Some(ARRAY_BUFFER), name == "POSITION");
+            doc.origins.derive(accessor, source);
             attributes.insert(name, Value::from(accessor));
         }
     }

@@ -51,6 +51,8 @@ pub(crate) fn load(
         merging: Default::default(),
         tile: None,
         undefined: Default::default(),
+        origins: Default::default(),
+        compressed: None,
     };
     let parts = primitives::build(&geometry, warnings);
     let materials = add_materials(&mut document, &geometry, &parts, entry, upload, limits, warnings)?;

@@ -26,6 +26,8 @@ impl Scene {
                 merging: Default::default(),
                 tile: None,
                 undefined: Default::default(),
+                origins: Default::default(),
+                compressed: None,
             },
         }
     }

@@ -67,7 +67,7 @@ pub(super) fn emit(
                 Some(raw) => raw,
                 None => emitter.attribute(name, accessor)?,
             };
-            new = emitter.append(&raw, name == "POSITION");
+            new = emitter.append(&raw, name == "POSITION", Some(accessor));
         }
         fresh.insert(name.clone(), new);
     }
@@ -118,8 +118,13 @@ impl Emitter<'_> {
         Ok(accessor)
     }
 
-    fn append(&mut self, raw: &RawAccessor, bounds: bool) -> Value {
-        Value::from(self.out.append_accessor(raw, Some(ARRAY_BUFFER), bounds))
+    /// Appends an accessor; `source` is the one that it was made of.
+    fn append(&mut self, raw: &RawAccessor, bounds: bool, source: Option<usize>) -> Value {
+        let accessor = self.out.append_accessor(raw, Some(ARRAY_BUFFER), bounds);
+        if let Some(source) = source {
+            self.out.origins.derive(accessor, source);
+        }
+        Value::from(accessor)
     }
 
     fn frame(&self, attributes: &Map<String, Value>, pointer: &str) -> Result<Option<TangentFrame>> {
@@ -148,7 +153,7 @@ impl Emitter<'_> {
             .map(|(i, uv)| uv.or_else(|| old.get(i).copied()).unwrap_or_default())
             .map(|uv| uv.map(|x| if x.is_finite() { x } else { 0.0 }))
             .collect();
-        self.append(&RawAccessor::from_floats(&values), false)
+        self.append(&RawAccessor::from_floats(&values), false, None)
     }
 
     /// An attribute other than joints and weights, for every vertex of the pool.
@@ -204,7 +209,7 @@ impl Emitter<'_> {
                 [x, y, z, if turn.mirrored { -w } else { w }]
             })
             .collect();
-        Ok(Some(self.append(&RawAccessor::from_floats(&tangents), false)))
+        Ok(Some(self.append(&RawAccessor::from_floats(&tangents), false, None)))
     }
 
     /// A tangent, or a morph target's step of one, turned with the faces of vertex `i`.
@@ -228,7 +233,7 @@ impl Emitter<'_> {
                 if all || turned {
                     let accessor = self.checked(value, &format!("{pointer}/targets/{i}/{name}"))?;
                     let raw = if turned { self.steps(accessor)? } else { self.other(name, accessor)? };
-                    replaced = self.append(&raw, name == "POSITION");
+                    replaced = self.append(&raw, name == "POSITION", Some(accessor));
                 }
                 new.insert(name.clone(), replaced);
             }

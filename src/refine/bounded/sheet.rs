@@ -11,7 +11,7 @@ use super::prepare::{Labels, NO_DISK, boundary, had_area, rest_shape};
 use super::reduce::PackedCharts;
 use crate::atlas::bvh::Bounds;
 use crate::atlas::groups::sorted_unique;
-use crate::atlas::rounding::{Facing, round_uvs};
+use crate::atlas::rounding::{Facing, STEPS, round_uvs};
 use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Mesh, OverlapMode, Topology, clusters, coverage, orientation};
 use crate::error::Warning;
 use crate::numeric::dirichlet::RestTriangle;
@@ -298,7 +298,7 @@ pub(super) fn round(
         }
     }
     let mut out = vec![false; constructed.disks.len()];
-    for f in round_uvs(atlas, &facing) {
+    for f in round_uvs(atlas, &facing, STEPS) {
         // What stays as it is was so before.
         if let Some(own) = out.get_mut(labels.disk[f.index()] as usize) {
             *own = true;

@@ -3,9 +3,14 @@
 use super::{Decoded, Reader, body};
 
 /// Most elements of a block.
-const BLOCK: usize = 256;
+pub(super) const BLOCK: usize = 256;
 /// Elements of a group, the unit for which a number of bits is chosen.
-const GROUP: usize = 16;
+pub(super) const GROUP: usize = 16;
+
+/// Elements of a block.
+pub(super) fn block_size(stride: usize) -> usize {
+    (8192 / stride / GROUP * GROUP).min(BLOCK)
+}
 
 /// Decodes `count` elements of `stride` bytes, a multiple of 4 up to 256.
 pub(super) fn decode(stream: &[u8], count: usize, stride: usize) -> Decoded<Vec<u8>> {
@@ -27,8 +32,7 @@ pub(super) fn decode(stream: &[u8], count: usize, stride: usize) -> Decoded<Vec<
 
     let mut out = vec![0; count * stride];
     let mut deltas = [[0; BLOCK]; 4];
-    let block = (8192 / stride / GROUP * GROUP).min(BLOCK);
-    for elements in out.chunks_mut(block * stride) {
+    for elements in out.chunks_mut(block_size(stride) * stride) {
         let count = elements.len() / stride;
         let controls = if modern { Some(data.take(stride / 4)?) } else { None };
         for channel in 0..stride / 4 {

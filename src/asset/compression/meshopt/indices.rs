@@ -5,23 +5,23 @@ use super::{Decoded, body};
 const NO_HISTORY: &str = "names an edge or a vertex that did not come before";
 
 /// The last sixteen of something, the latest first.
-struct Recent<T> {
+pub(super) struct Recent<T> {
     items: [T; 16],
     pushed: usize,
 }
 
 impl<T: Copy + Default> Recent<T> {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         Recent { items: [T::default(); 16], pushed: 0 }
     }
 
-    fn push(&mut self, item: T) {
+    pub(super) fn push(&mut self, item: T) {
         self.items[self.pushed % 16] = item;
         self.pushed += 1;
     }
 
     /// The item pushed `back` pushes before the latest.
-    fn get(&self, back: u8) -> Decoded<T> {
+    pub(super) fn get(&self, back: u8) -> Decoded<T> {
         let back = usize::from(back);
         if back >= 16 || back >= self.pushed {
             return Err(NO_HISTORY);
@@ -31,7 +31,7 @@ impl<T: Copy + Default> Recent<T> {
 }
 
 /// A signed number from its absolute value shifted left, the sign in the lowest bit.
-fn unzigzag(v: u32) -> u32 {
+pub(super) fn from_zigzag(v: u32) -> u32 {
     (v >> 1) ^ (v & 1).wrapping_neg()
 }
 
@@ -84,7 +84,7 @@ pub(super) fn triangles(stream: &[u8], count: usize) -> Decoded<Vec<u32>> {
                     last = match low {
                         13 => last.wrapping_sub(1),
                         14 => last.wrapping_add(1),
-                        _ => last.wrapping_add(unzigzag(data.varint()?)),
+                        _ => last.wrapping_add(from_zigzag(data.varint()?)),
                     };
                     last
                 }
@@ -112,7 +112,7 @@ pub(super) fn triangles(stream: &[u8], count: usize) -> Decoded<Vec<u32>> {
                 }
                 Source::Recent(back) => vertices.get(*back)?,
                 Source::Told => {
-                    last = last.wrapping_add(unzigzag(data.varint()?));
+                    last = last.wrapping_add(from_zigzag(data.varint()?));
                     last
                 }
             };
@@ -143,7 +143,7 @@ pub(super) fn sequence(stream: &[u8], count: usize) -> Decoded<Vec<u32>> {
     for _ in 0..count {
         let value = data.varint()?;
         let baseline = &mut last[(value & 1) as usize];
-        *baseline = baseline.wrapping_add(unzigzag(value >> 1));
+        *baseline = baseline.wrapping_add(from_zigzag(value >> 1));
         out.push(*baseline);
     }
     data.end()?;

@@ -4,15 +4,29 @@
 //! by its length ([`StreamLayout::least_bytes`]) before anything is allocated.
 
 mod attributes;
+mod encode;
 mod filters;
 mod indices;
+mod refilter;
 
 use std::fmt::Display;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
+
+pub(super) use encode::encode;
+pub(super) use refilter::{exponential, octahedral, one_of_octahedral};
+
+/// Version of the codec of attributes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Codec {
+    /// The only one that EXT_meshopt_compression has.
+    Version0,
+    /// KHR_meshopt_compression has this one too.
+    Version1,
+}
 
 /// Bitstream of a buffer view.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub(super) enum Mode {
     /// Elements of a few bytes, as differences byte by byte.
@@ -24,7 +38,7 @@ pub(super) enum Mode {
 }
 
 /// What is done to the elements after decoding.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub(super) enum Filter {
     /// Nothing.
@@ -111,13 +125,17 @@ pub(super) fn decode(stream: &[u8], layout: &StreamLayout) -> Decoded<Vec<u8>> {
     if stream.len() < layout.least_bytes() {
         return Err("is too short for its count");
     }
-    let mut data = match layout.mode {
+    let mut data = unfiltered(stream, layout)?;
+    filters::apply(layout.filter, &mut data, layout.stride);
+    Ok(data)
+}
+
+fn unfiltered(stream: &[u8], layout: &StreamLayout) -> Decoded<Vec<u8>> {
+    Ok(match layout.mode {
         Mode::Attributes => attributes::decode(stream, layout.count, layout.stride)?,
         Mode::Triangles => narrow(&indices::triangles(stream, layout.count / 3)?, layout.stride),
         Mode::Indices => narrow(&indices::sequence(stream, layout.count)?, layout.stride),
-    };
-    filters::apply(layout.filter, &mut data, layout.stride);
-    Ok(data)
+    })
 }
 
 fn narrow(values: &[u32], stride: usize) -> Vec<u8> {

@@ -1,6 +1,6 @@
 //! Against streams that meshoptimizer 1.3 wrote and read back, and against what a stream must not do.
 
-use super::{Decoded, Filter, Mode, StreamLayout, decode};
+use super::{Codec, Decoded, Filter, Mode, StreamLayout, decode, encode, exponential, octahedral, one_of_octahedral};
 
 type Known = (Mode, Filter, usize, usize, &'static str, &'static str);
 
@@ -166,4 +166,118 @@ fn layouts_go_together() {
     assert!(!with(Mode::Attributes, Filter::Quaternion, 1, 4) && !with(Mode::Attributes, Filter::Color, 1, 16));
     assert!(with(Mode::Triangles, Filter::None, 3, 2) && !with(Mode::Triangles, Filter::None, 4, 2));
     assert!(!with(Mode::Indices, Filter::Exponential, 1, 4) && !with(Mode::Indices, Filter::None, 1, 1));
+}
+
+/// A number that looks random and is the same on every machine (xorshift).
+fn next(state: &mut u64) -> u64 {
+    *state ^= *state << 13;
+    *state ^= *state >> 7;
+    *state ^= *state << 17;
+    *state
+}
+
+#[test]
+fn attributes_are_written_as_they_are_read() {
+    let mut state = 0x9E37_79B9_7F4A_7C15;
+    for stride in [4, 8, 12, 20, 64, 256] {
+        for count in [0, 1, 15, 16, 17, 255, 256, 257, 700] {
+            // Smooth, noisy in low bits, and noise.
+            for noise in [0u64, 3, 200, 256] {
+                let data: Vec<u8> = (0..count * stride)
+                    .map(|i| ((i / stride) as u64 / 3 + next(&mut state) % (noise + 1)) as u8)
+                    .collect();
+                let layout = layout(Mode::Attributes, count, stride);
+                for codec in [Codec::Version0, Codec::Version1] {
+                    let stream = encode(&data, &layout, codec).unwrap();
+                    assert_eq!(stream[0], if codec == Codec::Version0 { 0xA0 } else { 0xA1 });
+                    assert!(
+                        decode(&stream, &layout).as_ref() == Ok(&data),
+                        "{count} of {stride} bytes, noise {noise}, {codec:?}"
+                    );
+                    assert!(
+                        count < 200 || noise > 3 || 5 * stream.len() < 4 * data.len(),
+                        "{} bytes of {}",
+                        stream.len(),
+                        data.len()
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn triangles_are_written_as_they_are_read() {
+    let mut state = 88_172_645_463_325_252;
+    let side = 30u32;
+    let corner = |x: u32, y: u32| y * (side + 1) + x;
+    let squares = (0..side).flat_map(|y| (0..side).map(move |x| (x, y)));
+    let grid: Vec<u32> = squares
+        .flat_map(|(x, y)| {
+            let [a, b, c, d] = [corner(x, y), corner(x + 1, y), corner(x + 1, y + 1), corner(x, y + 1)];
+            [a, b, c, a, c, d]
+        })
+        .collect();
+    let few: Vec<u32> = (0..3000).map(|_| (next(&mut state) % 20) as u32).collect();
+    let many: Vec<u32> = (0..3000).map(|_| (next(&mut state) % 0x3FFF_FFFF) as u32).collect();
+    for (name, indices) in
+        [("grid", grid), ("few", few), ("many", many), ("in order", (0..3000).collect()), ("none", Vec::new())]
+    {
+        let data: Vec<u8> = indices.iter().flat_map(|i| i.to_le_bytes()).collect();
+        let triangles = layout(Mode::Triangles, indices.len(), 4);
+        let stream = encode(&data, &triangles, Codec::Version0).unwrap();
+        let read = decode(&stream, &triangles).unwrap();
+        let read: Vec<u32> = read.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect();
+        for (found, [a, b, c]) in read.as_chunks::<3>().0.iter().zip(indices.as_chunks::<3>().0) {
+            assert!([[a, b, c], [b, c, a], [c, a, b]].iter().any(|t| t.map(|v| *v) == *found), "{name}");
+        }
+        assert!(name != "grid" || stream.len() < indices.len(), "{} bytes", stream.len());
+        let sequence = layout(Mode::Indices, indices.len(), 4);
+        assert_eq!(decode(&encode(&data, &sequence, Codec::Version0).unwrap(), &sequence).unwrap(), data, "{name}");
+    }
+}
+
+#[test]
+fn floats_on_a_grid_are_exact_through_a_filter_and_others_are_not_put_through() {
+    let bytes = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let on_grid: Vec<f32> = (0..600).map(|i| (i * 37 % 8193) as f32 / 8192.0).collect();
+    let data = bytes(&on_grid);
+    let elements = exponential(&data, 8).unwrap();
+    let filtered = StreamLayout { filter: Filter::Exponential, ..layout(Mode::Attributes, 300, 8) };
+    let stream = encode(&elements, &layout(Mode::Attributes, 300, 8), Codec::Version0).unwrap();
+    assert_eq!(decode(&stream, &filtered).unwrap(), data);
+    for wrong in [[1.0, f32::NAN], [1.0, 1e-30], [-0.0, 1.0], [f32::INFINITY, 0.0]] {
+        assert!(exponential(&bytes(&wrong), 4).is_none(), "{wrong:?}");
+    }
+}
+
+#[test]
+fn unit_vectors_come_back_within_the_steps_of_their_coordinates() {
+    for (stride, one, max) in [(4, 127i16, 127.0f64), (8, 511, 32767.0), (8, 32767, 32767.0)] {
+        let vectors = (0..500).map(|i| {
+            let (a, b) = (f64::from(i) * 0.7, f64::from(i) * 0.31);
+            [a.cos() * b.sin(), a.sin() * b.sin(), b.cos()].map(|v| (v * max).round() as i16)
+        });
+        let data: Vec<u8> = match stride {
+            4 => vectors.flat_map(|[x, y, z]| [x as u8, y as u8, z as u8, 9]).collect(),
+            _ => vectors
+                .flat_map(|[x, y, z]| [x, y, z, -3].map(i16::to_le_bytes).into_iter().flatten().collect::<Vec<_>>())
+                .collect(),
+        };
+        let mut elements = data.clone();
+        octahedral(&mut elements, stride, one);
+        let plain = layout(Mode::Attributes, 500, stride);
+        let filtered = StreamLayout { filter: Filter::Octahedral, ..plain };
+        let stream = encode(&elements, &plain, Codec::Version0).unwrap();
+        assert_eq!(one_of_octahedral(&stream, &filtered), Some(one));
+        let read = decode(&stream, &filtered).unwrap();
+        let components = |bytes: &[u8]| -> Vec<f64> {
+            match stride {
+                4 => bytes.iter().map(|b| f64::from(*b as i8)).collect(),
+                _ => bytes.as_chunks().0.iter().map(|b| f64::from(i16::from_le_bytes(*b))).collect(),
+            }
+        };
+        let worst = components(&read).iter().zip(components(&data)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst <= 2.0 * max / f64::from(one) + 1.0, "{worst} of {max}");
+    }
 }

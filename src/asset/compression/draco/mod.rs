@@ -3,6 +3,9 @@
 //! A stream is decoded on a thread of its own. Memory is bounded before by what the accessors declare; should the
 //! decoder panic, the thread alone ends; should it not come to an end, nobody waits for it.
 
+mod encode;
+mod grid;
+
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Duration;
@@ -13,6 +16,9 @@ use crate::asset::accessor::RawAccessor;
 use crate::asset::accessor_layout::{AccessorLayout, kind_name};
 use crate::asset::{ComponentType, Kind};
 use crate::error::{Failure, Result};
+
+pub(in crate::asset) use encode::{Encoded, Input, encode, is_carried};
+pub(in crate::asset) use grid::{Grid, Quantization, bounds, common_exponent};
 
 /// How often cancellation is looked for.
 const TICK: Duration = Duration::from_millis(20);
@@ -110,6 +116,11 @@ pub(super) fn attribute(mesh: &Mesh, id: u32, accessor: &AccessorLayout) -> std:
         convert(found, bytes, accessor.component_type, &mut data)?;
     }
     Ok(RawAccessor::new(accessor.component_type, accessor.kind, accessor.normalized, data))
+}
+
+/// How an attribute lies in its stream.
+pub(super) fn quantization(mesh: &Mesh, id: u32, stream: &[u8]) -> Quantization {
+    mesh.attribute_by_unique_id(id).map_or(Quantization::Lossless, |found| grid::quantization(found, stream))
 }
 
 /// Appends one value in the accessor's type: its bits where the types are the same, its number where they are not.
