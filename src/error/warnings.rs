@@ -23,6 +23,7 @@ pub const WARNINGS: &[(&str, &str)] = &[
     ("draco_ignored", "a primitive's Draco data is not used: it has plain data too"),
     ("extension_dropped", "an extension of a primitive is left out: its triangles were divided"),
     ("held_back", "a part of the surface was left out by a stage: its charts share texels, or overlap themselves"),
+    ("heavier_texture", "an image takes more bytes a texel than it did"),
     ("importance_missing", "a part of the surface has no weights, and counts as ordinary"),
     ("invalid_image", "an image cannot be read: what shows it is left as it is"),
     ("invalid_normals_replaced", "normals without a direction were computed from the faces"),

@@ -16,6 +16,8 @@ pub(super) struct Upload {
     pub lossy: bool,
     /// Size of the file.
     pub bytes: u64,
+    /// Width times height.
+    pub texels: u64,
     /// How it was encoded, of a JPEG.
     pub jpeg: Option<JpegCoding>,
 }
@@ -47,6 +49,9 @@ impl PageKind {
     }
 }
 
+/// Bytes a texel, of those of the upload, from which it is said.
+const HEAVIER: f64 = 1.1;
+
 /// What the options make of a slot.
 pub(super) struct Plan<'a> {
     slot: &'a Slot,
@@ -55,6 +60,8 @@ pub(super) struct Plan<'a> {
     wanted: Coding,
     /// Whether the format of the upload was to be kept.
     keep: bool,
+    /// Whether the options say how much JPEG files lose.
+    has_quality: bool,
 }
 
 impl<'a> Plan<'a> {
@@ -78,7 +85,13 @@ impl<'a> Plan<'a> {
             Format::Webp => Coding::Webp,
             Format::Png | Format::Ktx2 => Coding::Png,
         };
-        Plan { slot, uploads, wanted, keep: options.format == TextureFormat::Keep }
+        Plan {
+            slot,
+            uploads,
+            wanted,
+            keep: options.format == TextureFormat::Keep,
+            has_quality: options.jpeg_quality != JpegQuality::Keep,
+        }
     }
 
     /// The format of a page: PNG where the one that is wanted cannot hold it.
@@ -120,10 +133,30 @@ impl<'a> Plan<'a> {
                 "was compressed with a loss and is compressed once more (set texture.format to \"png\" to avoid that)";
             warn("lossy_reencode", format!("{name} {text}"));
         }
+        let before: u64 = self.uploads.iter().map(|u| u.bytes).sum();
         if let Some(uploaded) = self.uploads.iter().find_map(Upload::replaced).filter(|_| self.keep) {
-            let before: u64 = self.uploads.iter().map(|u| u.bytes).sum();
             let text = format!("{name} was {uploaded} of {before} bytes and is written as PNG of {after} bytes");
             warn("reencoded_png", text);
+            return;
+        }
+        let texels_before: u64 = self.uploads.iter().map(|u| u.texels).sum();
+        let texels: u64 = pages.iter().map(|page| u64::from(page.size[0]) * u64::from(page.size[1])).sum();
+        let bits = |bytes: u64, texels: u64| 8.0 * bytes as f64 / texels.max(1) as f64;
+        let (was, is) = (bits(before, texels_before), bits(after, texels));
+        if is > HEAVIER * was {
+            let now = pages.first().map_or(self.wanted.format(), |page| self.of(*page).format());
+            let why = if self.uploads.iter().any(|u| u.format != now) {
+                "its format changed".to_owned()
+            } else if now == Format::Jpeg && self.has_quality {
+                "its quality is the one that texture.jpeg_quality asks for; \"keep\" takes that of the upload"
+                    .to_owned()
+            } else {
+                "less of it is empty, and its parts were put together anew".to_owned()
+            };
+            let text = format!(
+                "{name} takes {after} bytes for {texels} texels, {is:.2} bits each; its upload took {before} bytes for {texels_before}, {was:.2} each: {why}"
+            );
+            warn("heavier_texture", text);
         }
     }
 }
@@ -150,7 +183,11 @@ mod tests {
     fn written(uploaded: Format, lossy: bool, wanted: TextureFormat, page: DynamicImage) -> (Format, Vec<String>) {
         let mut slot = fixture::slot(0, [8, 8]);
         slot.header.format = uploaded;
-        let plan = Plan::new(&slot, vec![Upload { format: uploaded, lossy, bytes: 100, jpeg: None }], &to(wanted));
+        let plan = Plan::new(
+            &slot,
+            vec![Upload { format: uploaded, lossy, bytes: 1_000_000, texels: 1, jpeg: None }],
+            &to(wanted),
+        );
         let context = Context::silent();
         let format = plan.of(PageKind::of(&page)).format();
         plan.warn(&[PageKind::of(&page)], 250, &context);
@@ -192,12 +229,34 @@ mod tests {
     fn the_bytes_before_and_after_are_named() {
         // Of two models that share a sheet, one brings what is not written.
         let slot = fixture::slot(0, [8, 8]);
-        let upload = |format, lossy, bytes| Upload { format, lossy, bytes, jpeg: None };
+        let upload = |format, lossy, bytes| Upload { format, lossy, bytes, texels: 64, jpeg: None };
         let uploads = vec![upload(Format::Png, false, 70), upload(Format::Ktx2, true, 31)];
         let context = Context::silent();
         Plan::new(&slot, uploads, &to(TextureFormat::Keep)).warn(&[PageKind::of(&page(3, false, 8))], 250, &context);
         let warning = context.warnings().remove(0);
         assert!(warning.message.contains("101 bytes") && warning.message.contains("250 bytes"), "{}", warning.message);
         assert_eq!((warning.code.as_str(), warning.pointer.as_deref()), ("reencoded_png", Some("/images/0")));
+    }
+
+    #[test]
+    fn more_bytes_a_texel_are_told_with_their_reason() {
+        let mut slot = fixture::slot(0, [8, 8]);
+        slot.header.format = Format::Jpeg;
+        let told = |after: u64, options: Texture| {
+            let upload = Upload { format: Format::Jpeg, lossy: true, bytes: 400, texels: 800, jpeg: None };
+            let context = Context::silent();
+            Plan::new(&slot, vec![upload], &options).warn(&[PageKind::of(&page(3, false, 400))], after, &context);
+            context.warnings().into_iter().find(|w| w.code == "heavier_texture").map(|w| w.message)
+        };
+        assert_eq!(told(215, to(TextureFormat::Keep)), None);
+        let packed = told(300, to(TextureFormat::Keep)).unwrap();
+        assert!(
+            packed.contains("300 bytes for 400 texels, 6.00 bits each") && packed.contains("4.00 each"),
+            "{packed}"
+        );
+        assert!(packed.contains("less of it is empty"), "{packed}");
+        assert!(told(300, to(TextureFormat::Png)).unwrap().contains("its format changed"));
+        let quality = Texture { jpeg_quality: JpegQuality::Quality(95), ..Texture::default() };
+        assert!(told(300, quality).unwrap().contains("texture.jpeg_quality"));
     }
 }

@@ -13,7 +13,7 @@ use crate::error::{Code, Failure, Result};
 use crate::texture::Slot;
 use crate::texture::Texture;
 use crate::texture::{
-    Alpha, Bake, Baked, Direction, FIDELITY_SAMPLES, Fidelity, Format, Role, STREAMED_FROM, Source, Streamed,
+    Alpha, Bake, Baked, Direction, FIDELITY_SAMPLES, Fidelity, Format, Header, Role, STREAMED_FROM, Source, Streamed,
     UploadedColors, Wrap, bake, bake_jpeg, decode, encode, is_lossy, jpeg_coding, neutral, page_size, texel, widened,
 };
 
@@ -170,7 +170,9 @@ fn bake_slot(
     let uploads = group.sources(index).filter_map(|(member, own)| {
         let file = uploaded(loaded, member, own)?;
         let format = member.set.slots[own].header.format;
-        Some(Upload { format, lossy: is_lossy(file), bytes: file.len() as u64, jpeg: jpeg_coding(file) })
+        let Header { width, height, .. } = member.set.slots[own].header;
+        let texels = u64::from(width) * u64::from(height);
+        Some(Upload { format, lossy: is_lossy(file), bytes: file.len() as u64, texels, jpeg: jpeg_coding(file) })
     });
     let plan = Plan::new(slot, uploads.collect(), options);
     // By source: its readers with equal wrap modes.
@@ -200,14 +202,7 @@ fn bake_slot(
             neutral: true,
         });
     }
-    let job = Bake {
-        before: &set.atlas,
-        after,
-        reference: set.reference,
-        slot,
-        sources,
-        bleed: std::env::var("BLEED").ok().and_then(|b| b.parse().ok()).unwrap_or(BLEED),
-    };
+    let job = Bake { before: &set.atlas, after, reference: set.reference, slot, sources, bleed: BLEED };
     let kind = |page: usize| PageKind { colour: job.sources[0].image.color(), size: page_size(&job, page) };
     let kinds: Vec<PageKind> = (0..after.sheets.len()).map(kind).collect();
     let texels: u64 = kinds.iter().map(|kind| u64::from(kind.size[0]) * u64::from(kind.size[1])).sum();
