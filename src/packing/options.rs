@@ -51,7 +51,7 @@ word_or_number! {
     /// Free texels between charts.
     pub enum Gutter {
         /// 2 texels where the sampler has no mipmaps, else 4.
-        Auto = "auto",
+        Auto = "auto";
         /// Texels of the smallest slot.
         Texels(u32) in 0..=64,
     }
@@ -61,7 +61,7 @@ word_or_number! {
     /// What charts move by.
     pub enum Grid {
         /// Texels; where a slot is JPEG, the blocks that it is encoded by, if that makes the sheet hardly larger.
-        Auto = "auto",
+        Auto = "auto";
         /// Multiples of this many texels of the smallest slot.
         Texels(u32) in 1..=64,
     }

@@ -1,6 +1,6 @@
-//! Parameters that are one word, or a whole number in a range.
+//! Parameters that are one of a few words, or a whole number in a range.
 
-/// Declares such a parameter: an enum of a word and a number, how its JSON is read and written, and its schema.
+/// Declares such a parameter: an enum of words and a number, how its JSON is read and written, and its schema.
 ///
 /// ```text
 /// word_or_number! {
@@ -8,6 +8,8 @@
 ///     pub enum Distance {
 ///         /// Until it is dark.
 ///         Auto = "auto",
+///         /// As far as there is a way.
+///         Free = "free";
 ///         /// Steps.
 ///         Steps(u32) in 1..=64,
 ///     }
@@ -17,8 +19,10 @@ macro_rules! word_or_number {
     (
         $(#[$meta:meta])*
         pub enum $name:ident {
-            $(#[doc = $word_doc:literal])+
-            $variant:ident = $word:literal,
+            $(
+                $(#[doc = $word_doc:literal])+
+                $variant:ident = $word:literal
+            ),+;
             $(#[doc = $number_doc:literal])+
             $number:ident($type:ty) in $low:literal ..= $high:literal,
         }
@@ -26,8 +30,10 @@ macro_rules! word_or_number {
         $(#[$meta])*
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         pub enum $name {
-            $(#[doc = $word_doc])+
-            $variant,
+            $(
+                $(#[doc = $word_doc])+
+                $variant,
+            )+
             $(#[doc = $number_doc])+
             $number($type),
         }
@@ -35,7 +41,7 @@ macro_rules! word_or_number {
         impl serde::Serialize for $name {
             fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
                 match self {
-                    $name::$variant => serializer.serialize_str($word),
+                    $($name::$variant => serializer.serialize_str($word),)+
                     $name::$number(n) => n.serialize(serializer),
                 }
             }
@@ -44,13 +50,14 @@ macro_rules! word_or_number {
         impl<'de> serde::Deserialize<'de> for $name {
             fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
                 let value = serde_json::Value::deserialize(deserializer)?;
-                if value.as_str() == Some($word) {
-                    return Ok($name::$variant);
+                match value.as_str() {
+                    $(Some($word) => return Ok($name::$variant),)+
+                    _ => {}
                 }
                 let number = value.as_u64().filter(|n| ($low..=$high).contains(n)).and_then(|n| n.try_into().ok());
                 number.map($name::$number).ok_or_else(|| {
                     serde::de::Error::custom(concat!(
-                        "must be \"", $word, "\" or a whole number in ", $low, "..=", $high
+                        "must be ", $("\"", $word, "\" or ",)+ "a whole number in ", $low, "..=", $high
                     ))
                 })
             }
@@ -59,11 +66,10 @@ macro_rules! word_or_number {
         impl utoipa::PartialSchema for $name {
             fn schema() -> utoipa::openapi::RefOr<utoipa::openapi::Schema> {
                 use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
-                let word = ObjectBuilder::new().schema_type(Type::String).enum_values(Some([$word]));
+                let word = ObjectBuilder::new().schema_type(Type::String).enum_values(Some([$($word),+]));
                 let number =
                     ObjectBuilder::new().schema_type(Type::Integer).minimum(Some($low)).maximum(Some($high));
-                let text = [concat!("\"", $word, "\":"), $($word_doc),+, "A number:", $($number_doc),+];
-                let text: Vec<&str> = text.iter().map(|line| line.trim()).collect();
+                let text = [$(concat!("\"", $word, "\":", $($word_doc),+),)+ concat!("A number:", $($number_doc),+)];
                 OneOfBuilder::new().item(word).item(number).description(Some(text.join(" "))).into()
             }
         }

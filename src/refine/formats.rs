@@ -5,7 +5,7 @@ use image::{ColorType, DynamicImage};
 use crate::context::Context;
 use crate::error::Warning;
 use crate::texture::Slot;
-use crate::texture::{Coding, Format, JpegCoding, JpegQuality, Texture, TextureFormat, WEBP_SIDE};
+use crate::texture::{Coding, Format, JpegCoding, JpegQuality, Texture, TextureFormat, WEBP_SIDE, WebpQuality};
 
 /// An uploaded file that a slot is read from.
 #[derive(Debug, Clone)]
@@ -20,16 +20,14 @@ pub(super) struct Upload {
     pub texels: u64,
     /// How it was encoded, of a JPEG.
     pub jpeg: Option<JpegCoding>,
+    /// Its quality in 0..=100, of a lossy WebP file.
+    pub webp: Option<u8>,
 }
 
 impl Upload {
     /// What its format is called, if `keep` does not write it.
     fn replaced(&self) -> Option<&'static str> {
-        match (self.format, self.lossy) {
-            (Format::Ktx2, _) => Some("KTX2"),
-            (Format::Webp, true) => Some("lossy WebP"),
-            _ => None,
-        }
+        (self.format == Format::Ktx2).then_some("KTX2")
     }
 }
 
@@ -50,7 +48,7 @@ impl PageKind {
 }
 
 /// Bytes a texel, of those of the upload, from which it is said.
-const HEAVIER: f64 = 1.1;
+const HEAVIER: f64 = 1.2;
 
 /// What the options make of a slot.
 pub(super) struct Plan<'a> {
@@ -67,7 +65,8 @@ pub(super) struct Plan<'a> {
 impl<'a> Plan<'a> {
     /// A slot that is read from `uploads`.
     pub(super) fn new(slot: &'a Slot, uploads: Vec<Upload>, options: &Texture) -> Self {
-        let format = match options.format {
+        let asked = options.format.of(slot.role);
+        let format = match asked {
             TextureFormat::Keep if uploads.iter().any(|u| u.replaced().is_some()) => Format::Png,
             TextureFormat::Keep => slot.header.format,
             TextureFormat::Png => Format::Png,
@@ -80,16 +79,23 @@ impl<'a> Plan<'a> {
                 uploads.iter().filter_map(|u| u.jpeg.clone()).reduce(JpegCoding::finer).unwrap_or_default()
             }
         };
+        let webp = || match options.webp_quality {
+            WebpQuality::Quality(quality) => Some(quality),
+            WebpQuality::Lossless => None,
+            // What one of them shows without loss, all show so.
+            WebpQuality::Keep if uploads.iter().any(|u| !u.lossy) => None,
+            WebpQuality::Keep => uploads.iter().filter_map(|u| u.webp).max(),
+        };
         let wanted = match format {
             Format::Jpeg => Coding::Jpeg(jpeg()),
-            Format::Webp => Coding::Webp,
+            Format::Webp => Coding::Webp(webp()),
             Format::Png | Format::Ktx2 => Coding::Png,
         };
         Plan {
             slot,
             uploads,
             wanted,
-            keep: options.format == TextureFormat::Keep,
+            keep: asked == TextureFormat::Keep,
             has_quality: options.jpeg_quality != JpegQuality::Keep,
         }
     }
@@ -128,7 +134,8 @@ impl<'a> Plan<'a> {
         if let Some(obstacle) = pages.iter().find_map(|page| self.obstacle(*page)) {
             warn("kept_png", format!("{name} has {obstacle}: it is written as PNG"));
         }
-        if self.uploads.iter().any(|u| u.lossy) && pages.iter().any(|page| self.of(*page).format() == Format::Jpeg) {
+        let loses = |page: &PageKind| matches!(self.of(*page), Coding::Jpeg(_) | Coding::Webp(Some(_)));
+        if self.uploads.iter().any(|u| u.lossy) && pages.iter().any(loses) {
             let text =
                 "was compressed with a loss and is compressed once more (set texture.format to \"png\" to avoid that)";
             warn("lossy_reencode", format!("{name} {text}"));
@@ -176,7 +183,7 @@ mod tests {
     }
 
     fn to(format: TextureFormat) -> Texture {
-        Texture { format, ..Texture::default() }
+        Texture { format: format.into(), ..Texture::default() }
     }
 
     /// The format that a page becomes, and the codes of the warnings.
@@ -185,7 +192,14 @@ mod tests {
         slot.header.format = uploaded;
         let plan = Plan::new(
             &slot,
-            vec![Upload { format: uploaded, lossy, bytes: 1_000_000, texels: 1, jpeg: None }],
+            vec![Upload {
+                format: uploaded,
+                lossy,
+                bytes: 1_000_000,
+                texels: 1,
+                jpeg: None,
+                webp: (uploaded == Format::Webp && lossy).then_some(80),
+            }],
             &to(wanted),
         );
         let context = Context::silent();
@@ -200,7 +214,7 @@ mod tests {
         assert_eq!(keep(Format::Png, false, 4), (Format::Png, vec![]));
         assert_eq!(keep(Format::Webp, false, 4), (Format::Webp, vec![]));
         assert_eq!(keep(Format::Jpeg, true, 3), (Format::Jpeg, vec!["lossy_reencode".to_owned()]));
-        assert_eq!(keep(Format::Webp, true, 4), (Format::Png, vec!["reencoded_png".to_owned()]));
+        assert_eq!(keep(Format::Webp, true, 4), (Format::Webp, vec!["lossy_reencode".to_owned()]));
         assert_eq!(keep(Format::Ktx2, true, 3), (Format::Png, vec!["reencoded_png".to_owned()]));
     }
 
@@ -229,7 +243,7 @@ mod tests {
     fn the_bytes_before_and_after_are_named() {
         // Of two models that share a sheet, one brings what is not written.
         let slot = fixture::slot(0, [8, 8]);
-        let upload = |format, lossy, bytes| Upload { format, lossy, bytes, texels: 64, jpeg: None };
+        let upload = |format, lossy, bytes| Upload { format, lossy, bytes, texels: 64, jpeg: None, webp: None };
         let uploads = vec![upload(Format::Png, false, 70), upload(Format::Ktx2, true, 31)];
         let context = Context::silent();
         Plan::new(&slot, uploads, &to(TextureFormat::Keep)).warn(&[PageKind::of(&page(3, false, 8))], 250, &context);
@@ -243,7 +257,7 @@ mod tests {
         let mut slot = fixture::slot(0, [8, 8]);
         slot.header.format = Format::Jpeg;
         let told = |after: u64, options: Texture| {
-            let upload = Upload { format: Format::Jpeg, lossy: true, bytes: 400, texels: 800, jpeg: None };
+            let upload = Upload { format: Format::Jpeg, lossy: true, bytes: 400, texels: 800, jpeg: None, webp: None };
             let context = Context::silent();
             Plan::new(&slot, vec![upload], &options).warn(&[PageKind::of(&page(3, false, 400))], after, &context);
             context.warnings().into_iter().find(|w| w.code == "heavier_texture").map(|w| w.message)

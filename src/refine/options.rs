@@ -23,7 +23,7 @@ use crate::metrics::{self, Requirement};
 use crate::packing::{Pack, Rotation};
 use crate::params::params;
 use crate::texture::Texture;
-use crate::texture::{Overflow, Size, TextureFormat};
+use crate::texture::{Overflow, Size};
 
 /// All options of a job.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -100,8 +100,9 @@ impl Options {
         let copies = steps.iter().all(|step| step.stage.name() == Pack::NAME)
             && self.pack.rotation != Rotation::Any
             && self.texture.size == Size::KeepDensity
+            && self.texture.scale == 1.0
             && self.texture.overflow == Overflow::Pages
-            && matches!(self.texture.format, TextureFormat::Keep | TextureFormat::Jpeg)
+            && self.texture.format.has_jpeg()
             && !self.atlas.merge;
         Demand { bakes: self.atlas.uv_set != UvSet::New, unwraps, copies }
     }

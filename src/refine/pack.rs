@@ -14,7 +14,7 @@ use crate::atlas::{
 use crate::error::{Code, Failure, Result, Warning};
 use crate::packing::{self, InitialLayout, Packing, Piece, Request, Rounding, Spacing};
 use crate::packing::{Grid, Pack, Rotation};
-use crate::texture::{Overflow, Size, TextureFormat};
+use crate::texture::{Overflow, Size};
 
 /// Quarter-turned charts of mipmapped textures keep to multiples of this many texels, so that mip levels 1 and 2 stay as they were.
 const MIP_LATTICE: u32 = 4;
@@ -129,7 +129,7 @@ fn grid(sheet_info: &SheetInfo, options: &Options, pieces: &[Piece]) -> u32 {
         }
         Grid::Auto => 1,
     };
-    if !matches!(options.texture.format, TextureFormat::Keep | TextureFormat::Jpeg) {
+    if !options.texture.format.has_jpeg() {
         return fine;
     }
     let unit = f64::from(sheet_info.unit);
@@ -194,7 +194,8 @@ pub(super) fn largest_chart(sheet_info: &SheetInfo, options: &Options) -> Option
     let grid = grid(sheet_info, options, &[]);
     let Spacing { gutter, margin, lattice, unit } = spacing(sheet_info, &options.pack, grid, false);
     let lost = 2.0 * (margin.max(gutter) + lattice.unwrap_or(unit));
-    let [width, height] = largest_sheet(max, round, options.pack.aspect).map(|side| side - lost);
+    let largest = largest_sheet(max, round, options.pack.aspect);
+    let [width, height] = largest.map(|side| (side - lost) / options.texture.scale);
     Some([width.max(height), width.min(height)])
 }
 
@@ -206,11 +207,11 @@ fn place(pieces: &[Piece], input: &StageInput<'_>, starts: &[InitialLayout], eff
         pieces,
         rotation: options.pack.rotation,
         mirror: options.pack.mirror,
-        spacing: spacing(sheet_info, &options.pack, grid(sheet_info, options, pieces), false),
+        spacing: spacing(sheet_info, &options.pack, grid(sheet_info, options, pieces), texture.scale != 1.0),
         aspect: options.pack.aspect,
         max: [max; 2],
         round,
-        scale: 1.0,
+        scale: texture.scale,
         search: options.pack.search,
         work_budget: options.work_budget,
         starts,

@@ -14,7 +14,8 @@ use crate::texture::Slot;
 use crate::texture::Texture;
 use crate::texture::{
     Alpha, Bake, Baked, Direction, FIDELITY_SAMPLES, Fidelity, Format, Header, Role, STREAMED_FROM, Source, Streamed,
-    UploadedColors, Wrap, bake, bake_jpeg, decode, encode, is_lossy, jpeg_coding, neutral, page_size, texel, widened,
+    UploadedColors, Wrap, bake, bake_jpeg, decode, encode, is_lossy, jpeg_coding, neutral, page_size, texel,
+    webp_quality, widened,
 };
 
 /// Texels about each chart that are taken from the uploaded image: half of the widest gutter that charts have by default. What lies beyond
@@ -172,7 +173,14 @@ fn bake_slot(
         let format = member.set.slots[own].header.format;
         let Header { width, height, .. } = member.set.slots[own].header;
         let texels = u64::from(width) * u64::from(height);
-        Some(Upload { format, lossy: is_lossy(file), bytes: file.len() as u64, texels, jpeg: jpeg_coding(file) })
+        Some(Upload {
+            format,
+            lossy: is_lossy(file),
+            bytes: file.len() as u64,
+            texels,
+            jpeg: jpeg_coding(file),
+            webp: webp_quality(file),
+        })
     });
     let plan = Plan::new(slot, uploads.collect(), options);
     // By source: its readers with equal wrap modes.

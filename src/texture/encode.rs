@@ -2,13 +2,9 @@
 
 use super::jpeg::JpegCoding;
 use super::pixels::Depth;
-use super::{Format, depth, png};
+use super::{Format, png, webp};
 use crate::error::{Failure, Result};
 use image::DynamicImage;
-use image::codecs::webp::WebPEncoder;
-
-/// Longest side of a WebP file, in texels.
-pub(crate) const WEBP_SIDE: u32 = 16_383;
 
 /// A format, and what its encoder is told.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -17,8 +13,8 @@ pub enum Coding {
     Png,
     /// JPEG.
     Jpeg(JpegCoding),
-    /// WebP, lossless.
-    Webp,
+    /// WebP, with a quality in 0..=100, or without loss.
+    Webp(Option<u8>),
 }
 
 impl Coding {
@@ -27,12 +23,12 @@ impl Coding {
         match self {
             Coding::Png => Format::Png,
             Coding::Jpeg(_) => Format::Jpeg,
-            Coding::Webp => Format::Webp,
+            Coding::Webp(_) => Format::Webp,
         }
     }
 }
 
-/// Encodes an image with its own channels; PNG keeps the depth, JPEG has 8 bits, and WebP (lossless) 8 bits in RGB or RGBA.
+/// Encodes an image with its own channels; PNG keeps the depth, JPEG has 8 bits, and WebP 8 bits in RGB or RGBA.
 ///
 /// Fails with `internal` when the image is empty, has alpha for JPEG or 16 bits for WebP, or is too large for the format.
 pub fn encode(image: &DynamicImage, coding: &Coding) -> Result<Vec<u8>> {
@@ -42,7 +38,7 @@ pub fn encode(image: &DynamicImage, coding: &Coding) -> Result<Vec<u8>> {
     match coding {
         Coding::Png => png::encode(image),
         Coding::Jpeg(coding) => encode_jpeg(image, coding),
-        Coding::Webp => encode_webp(image),
+        Coding::Webp(quality) => webp::encode(image, *quality),
     }
 }
 
@@ -56,19 +52,6 @@ fn encode_jpeg(image: &DynamicImage, coding: &JpegCoding) -> Result<Vec<u8>> {
         None => image.as_bytes(),
     };
     coding.encode(samples, [image.width(), image.height()], image.color().channel_count())
-}
-
-fn encode_webp(image: &DynamicImage) -> Result<Vec<u8>> {
-    let failed = |e: &dyn std::fmt::Display| Failure::internal(format!("a WebP file cannot be written: {e}"));
-    if depth(image) != 8 {
-        return Err(failed(&"it has 8 bits"));
-    }
-    if image.width().max(image.height()) > WEBP_SIDE {
-        return Err(failed(&format!("its sides end at {WEBP_SIDE}")));
-    }
-    let mut file = Vec::new();
-    image.write_with_encoder(WebPEncoder::new_lossless(&mut file)).map_err(|e| failed(&e))?;
-    Ok(file)
 }
 
 #[cfg(test)]

@@ -20,21 +20,22 @@ mod slot;
 mod strips;
 mod texel_map;
 mod transfer;
+mod webp;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
-pub(crate) use decode::jpeg_coding;
 pub use decode::{decode, header, is_lossy, probe};
-pub(crate) use encode::WEBP_SIDE;
+pub(crate) use decode::{jpeg_coding, webp_quality};
 pub use encode::{Coding, encode};
 pub(crate) use fidelity::mix;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, UploadedColors, fidelity};
 pub use jpeg::JpegCoding;
-pub use options::{JpegQuality, Overflow, Size, Texture, TextureFormat};
+pub use options::{JpegQuality, Overflow, Size, Texture, TextureFormat, TextureFormats, WebpQuality};
 pub(crate) use pixels::from_samples;
 pub use pixels::{depth, neutral, texel, widened};
 pub use slot::{Reading, Slot};
 pub use strips::{STREAMED_FROM, Streamed, bake_jpeg};
 pub(crate) use transfer::{linear_to_srgb, srgb_to_linear};
+pub(crate) use webp::LONGEST as WEBP_SIDE;
 
 use std::fmt;
 
@@ -178,7 +179,7 @@ pub enum Format {
     Png,
     /// JPEG.
     Jpeg,
-    /// WebP; written without loss.
+    /// WebP.
     Webp,
     /// KTX2; read only.
     Ktx2,

@@ -1,11 +1,14 @@
 //! What can be asked of the output textures: size, sheets, format.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, OneOfBuilder, Type};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
+use super::Role;
 use crate::params::{params, word_or_number};
 
 /// Longest side of a sheet that can be asked for, in texels.
@@ -70,23 +73,94 @@ pub enum Overflow {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TextureFormat {
-    /// PNG stays PNG, JPEG stays JPEG, lossless WebP stays WebP; KTX2 and lossy WebP become PNG.
+    /// PNG stays PNG, JPEG stays JPEG, WebP stays WebP; KTX2 becomes PNG.
     Keep,
     /// PNG, lossless.
     Png,
     /// JPEG; images with alpha or 16 bits become PNG.
     Jpeg,
-    /// WebP, lossless (EXT_texture_webp); images of 16 bits become PNG.
+    /// WebP (EXT_texture_webp); images of 16 bits become PNG.
     Webp,
 }
+
+/// Formats of the output textures.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[serde(untagged)]
+pub enum TextureFormats {
+    /// One for all.
+    All(TextureFormat),
+    /// By what the texture means; the others are kept.
+    BySlot(BTreeMap<Role, TextureFormat>),
+}
+
+impl From<TextureFormat> for TextureFormats {
+    fn from(format: TextureFormat) -> Self {
+        TextureFormats::All(format)
+    }
+}
+
+impl TextureFormats {
+    /// That of the textures of a role.
+    pub fn of(&self, role: Role) -> TextureFormat {
+        match self {
+            TextureFormats::All(format) => *format,
+            TextureFormats::BySlot(formats) => formats.get(&role).copied().unwrap_or(TextureFormat::Keep),
+        }
+    }
+
+    /// Whether JPEG files stay, or become, JPEG files; of some slots at least.
+    pub fn has_jpeg(&self) -> bool {
+        match self {
+            TextureFormats::All(format) => matches!(format, TextureFormat::Keep | TextureFormat::Jpeg),
+            TextureFormats::BySlot(_) => true,
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for TextureFormats {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let value = Value::deserialize(deserializer)?;
+        let read = if value.is_object() {
+            serde_json::from_value(value).map(TextureFormats::BySlot)
+        } else {
+            serde_json::from_value(value).map(TextureFormats::All)
+        };
+        read.map_err(serde::de::Error::custom)
+    }
+}
+
+impl PartialSchema for TextureFormats {
+    fn schema() -> RefOr<Schema> {
+        let by_slot = ObjectBuilder::new()
+            .schema_type(Type::Object)
+            .property_names(Some(Role::schema()))
+            .additional_properties(Some(TextureFormat::schema()));
+        let text = "One format for all textures, or an object of formats by slot, as {\"normal\": \"png\"}: the others are kept.";
+        OneOfBuilder::new().item(TextureFormat::schema()).item(by_slot).description(Some(text)).into()
+    }
+}
+
+impl ToSchema for TextureFormats {}
 
 word_or_number! {
     /// How much JPEG files lose.
     pub enum JpegQuality {
         /// As the uploaded files.
-        Keep = "keep",
+        Keep = "keep";
         /// A quality; from 90 on chroma keeps its resolution.
         Quality(u8) in 1..=100,
+    }
+}
+
+word_or_number! {
+    /// How much WebP files lose.
+    pub enum WebpQuality {
+        /// As the uploaded files, if they were WebP; else nothing.
+        Keep = "keep",
+        /// Nothing.
+        Lossless = "lossless";
+        /// A quality.
+        Quality(u8) in 0..=100,
     }
 }
 
@@ -95,6 +169,8 @@ params! {
     pub struct Texture {
         /// "keep_density", "keep_size" or [width, height] of the largest slot.
         pub size: Size = Size::KeepDensity;
+        /// Factor on the texel density that "keep_density" keeps: below 1 all charts become smaller, and are resampled.
+        pub scale: f64 = 1.0, in 0.01..=1;
         /// Sheet sides are multiples of this many texels.
         pub multiple_of: u32 = 4, in 1..=256;
         /// Sheet sides are powers of two.
@@ -103,17 +179,22 @@ params! {
         pub max_size: u32 = 8192, in 16..=16384;
         /// What happens beyond `max_size`.
         pub overflow: Overflow = Overflow::Pages;
-        /// Format of the files.
-        pub format: TextureFormat = TextureFormat::Keep;
+        /// Format of the files, or formats by slot.
+        pub format: TextureFormats = TextureFormats::All(TextureFormat::Keep);
         /// Quality of JPEG files. "keep" takes quantisation tables, chroma subsampling and progressive scans of the uploaded files, the finest
         /// where several become one; 92 where these were no JPEG.
         pub jpeg_quality: JpegQuality = JpegQuality::Keep;
+        /// Quality of WebP files. "keep" is lossless where the uploaded files were, and the best of theirs where they were lossy WebP.
+        pub webp_quality: WebpQuality = WebpQuality::Keep;
     }
 }
 
 impl Texture {
-    /// What in a fixed `size` does not agree with the other parameters, each in a sentence.
+    /// What in `size` does not agree with the other parameters, each in a sentence.
     pub fn conflicts(&self) -> Vec<String> {
+        if self.size != Size::KeepDensity && self.scale != 1.0 {
+            return vec!["`size` says how large the sheet is: `scale` is for \"keep_density\"".to_owned()];
+        }
         let Size::Fixed(size) = self.size else { return Vec::new() };
         let (max, multiple) = (self.max_size, self.multiple_of.max(1));
         let conflicts = [

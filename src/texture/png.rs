@@ -1,5 +1,7 @@
 //! PNG files out: nothing is lost, and as few bytes as a filter per row and a good compressor find (PNG, third edition, W3C 2025).
 
+use std::borrow::Cow;
+
 use image::DynamicImage;
 use libdeflater::{CompressionLvl, Compressor, crc32};
 use rayon::prelude::*;
@@ -71,7 +73,7 @@ pub(super) fn encode(image: &DynamicImage) -> Result<Vec<u8>> {
     let filtered = filtered(strategy, &layout, &samples);
     let level = LEVELS.iter().find(|(bytes, _)| filtered.len() <= *bytes).map_or(LARGE, |(_, level)| *level);
     let data = compressed(&filtered, level)?;
-    drop(filtered);
+    drop((filtered, samples));
     let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
     file.reserve_exact(data.len() + 4096);
     let mut header = Vec::new();
@@ -100,7 +102,7 @@ fn chunk(file: &mut Vec<u8>, kind: &[u8; 4], data: &[u8]) {
 }
 
 /// The samples as the file has them, row by row, and the palette.
-fn laid_out(image: &DynamicImage) -> (Layout, Vec<u8>, Option<Vec<[u8; 4]>>) {
+fn laid_out(image: &DynamicImage) -> (Layout, Cow<'_, [u8]>, Option<Vec<[u8; 4]>>) {
     let (width, channels) = (image.width() as usize, image.color().channel_count());
     let kind = match channels {
         1 => 0,
@@ -110,7 +112,7 @@ fn laid_out(image: &DynamicImage) -> (Layout, Vec<u8>, Option<Vec<[u8; 4]>>) {
     };
     if let Some(samples) = u16::of(image) {
         let step = 2 * usize::from(channels);
-        let bytes = samples.iter().flat_map(|s| s.to_be_bytes()).collect();
+        let bytes = Cow::Owned(samples.iter().flat_map(|s| s.to_be_bytes()).collect());
         return (Layout { line: width * step, step, depth: depth(image), kind }, bytes, None);
     }
     let samples = image.as_bytes();
@@ -119,7 +121,7 @@ fn laid_out(image: &DynamicImage) -> (Layout, Vec<u8>, Option<Vec<[u8; 4]>>) {
         && let Some((colours, indices)) = palette(samples, step)
     {
         let bits = bits_of(colours.len() - 1);
-        return (layout(width, bits, 3), packed(&indices, width, bits, |index| index), Some(colours));
+        return (layout(width, bits, 3), packed(&indices, width, bits, |index| index).into(), Some(colours));
     }
     if channels == 1 {
         let bits = [1u8, 2, 4].into_iter().find(|bits| {
@@ -127,10 +129,10 @@ fn laid_out(image: &DynamicImage) -> (Layout, Vec<u8>, Option<Vec<[u8; 4]>>) {
             samples.iter().all(|s| s.is_multiple_of(unit))
         });
         if let Some(bits) = bits {
-            return (layout(width, bits, 0), packed(samples, width, bits, |grey| grey >> (8 - bits)), None);
+            return (layout(width, bits, 0), packed(samples, width, bits, |grey| grey >> (8 - bits)).into(), None);
         }
     }
-    (Layout { line: width * step, step, depth: 8, kind }, samples.to_vec(), None)
+    (Layout { line: width * step, step, depth: 8, kind }, samples.into(), None)
 }
 
 /// That of rows of one sample of so many bits.
@@ -394,7 +396,7 @@ mod tests {
                             back[y * layout.line + x] = v.wrapping_add(guess);
                         }
                     }
-                    assert_eq!(back, samples, "{strategy:?}");
+                    assert_eq!(back, *samples, "{strategy:?}");
                 }
             }
         }

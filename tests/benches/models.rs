@@ -130,7 +130,7 @@ fn slots(report: &Value) -> String {
 
 fn tightest(files: Vec<File>) -> String {
     let mut options = Options::default();
-    options.texture.format = TextureFormat::Png;
+    options.texture.format = TextureFormat::Png.into();
     options.pack.rotation = Rotation::Any;
     options.pack.gutter = Gutter::Texels(0);
     options.atlas.overlaps = OverlapMode::Separate;

@@ -21,7 +21,7 @@ fn picture(side: u32, format: ImageFormat) -> Vec<u8> {
 }
 
 /// A square on a quarter of a sheet of 128 texels, at a whole texel, with `maps` in its material.
-fn report(maps: &str, files: &[(&str, Vec<u8>)], options: Value) -> (Value, Vec<(String, Vec<u8>)>) {
+pub(super) fn report(maps: &str, files: &[(&str, Vec<u8>)], options: Value) -> (Value, Vec<(String, Vec<u8>)>) {
     let mut model = "mtllib m.mtl\nusemtl m\n".to_owned();
     for (x, y) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
         model += &format!("v {x} {y} 0\nvt {} {}\n", 0.25 + x / 2.0, 0.25 + y / 2.0);

@@ -10,6 +10,7 @@ mod numbers;
 mod outcomes;
 mod scans;
 mod tangents;
+mod textures;
 mod tiles;
 
 use std::path::{Path, PathBuf};

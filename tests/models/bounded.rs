@@ -23,7 +23,7 @@ use super::lossless::{Model, differences};
 fn options(recipe: &str, bound: f64) -> Options {
     let mut options = Options::preset(recipe);
     options.pack.gutter = Gutter::Texels(0);
-    options.texture.format = TextureFormat::Png;
+    options.texture.format = TextureFormat::Png.into();
     options.atlas.overlaps = OverlapMode::Separate;
     options.atlas.if_larger = IfLarger::Accept;
     options.stages.set(Bounded { packing_efficiency: bound, ..options.stages.get() });

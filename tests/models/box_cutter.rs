@@ -18,7 +18,7 @@ const SKINNED: &str = "pbr/khr_CesiumMan/CesiumMan.glb";
 
 fn options() -> Options {
     let mut options = Options { recipe: Recipe::Preset("box_cutter".to_owned()), ..Options::default() };
-    options.texture.format = TextureFormat::Png;
+    options.texture.format = TextureFormat::Png.into();
     options.atlas.overlaps = OverlapMode::Separate;
     options.atlas.if_larger = IfLarger::Accept;
     options.work_budget = Some(20_000_000);

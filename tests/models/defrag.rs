@@ -53,7 +53,7 @@ const fn goal(name: &'static str, charts: f64, psnr: f64) -> Goal {
 fn options() -> Options {
     let mut options = Options::preset("scan");
     options.pack.gutter = Gutter::Texels(4);
-    options.texture.format = TextureFormat::Png;
+    options.texture.format = TextureFormat::Png.into();
     options
 }
 
@@ -213,7 +213,7 @@ fn nothing_is_resampled_where_nothing_may_be() {
 #[test]
 fn cuts_heal_without_resampling() {
     let mut options = Options::preset("box_cutter");
-    options.texture.format = TextureFormat::Png;
+    options.texture.format = TextureFormat::Png.into();
     options.atlas.if_larger = IfLarger::Accept;
     options.work_budget = Some(5_000_000);
     let cut = run(made("textured"), &options);

@@ -47,7 +47,7 @@ fn samples_are_read_by_others() {
 
 fn pack(files: Vec<File>, if_larger: IfLarger) -> Result<Outcome, intarsia::error::Failure> {
     let mut options = Options::default();
-    options.texture.format = TextureFormat::Png;
+    options.texture.format = TextureFormat::Png.into();
     options.atlas.if_larger = if_larger;
     options.output.compression = Compression::None;
     refine(&Input { models: vec![files], ..Input::default() }, &options, &Context::silent())

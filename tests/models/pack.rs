@@ -17,7 +17,7 @@ fn run(files: Vec<File>, options: &Options) -> Outcome {
 
 fn png() -> Options {
     let mut options = Options::default();
-    options.texture.format = TextureFormat::Png;
+    options.texture.format = TextureFormat::Png.into();
     options
 }
 

@@ -17,7 +17,7 @@ pub fn picture(side: u32, format: Format) -> Vec<u8> {
     let image = RgbImage::from_raw(side, side, samples).expect("as many samples");
     let coding = match format {
         Format::Jpeg => Coding::Jpeg(JpegCoding::of_quality(90)),
-        Format::Webp => Coding::Webp,
+        Format::Webp => Coding::Webp(None),
         _ => Coding::Png,
     };
     encode(&image.into(), &coding).expect("an image")

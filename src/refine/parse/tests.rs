@@ -51,6 +51,22 @@ fn every_problem_is_found_with_its_pointer() {
 }
 
 #[test]
+fn formats_are_given_for_all_slots_or_by_slot() {
+    use crate::texture::{Role, TextureFormat};
+    let read = |format: Value| options(&json!({ "texture": { "format": format } }));
+    let formats = read(json!({"normal": "png", "base_color": "webp"})).unwrap().texture.format;
+    assert_eq!(formats.of(Role::Normal), TextureFormat::Png);
+    assert_eq!(formats.of(Role::Occlusion), TextureFormat::Keep);
+    assert_eq!(serde_json::to_value(&formats).unwrap(), json!({"base_color": "webp", "normal": "png"}));
+    assert_eq!(read(json!("jpeg")).unwrap().texture.format.of(Role::Normal), TextureFormat::Jpeg);
+    for wrong in [json!({"normals": "png"}), json!({"normal": "gif"}), json!(3)] {
+        assert_eq!(read(wrong).unwrap_err().remove(0).pointer, "/texture/format");
+    }
+    let both = options(&json!({"texture": {"size": "keep_size", "scale": 0.5}})).unwrap_err().remove(0);
+    assert!(both.message.contains("`scale` is for"), "{both:?}");
+}
+
+#[test]
 fn sizes_must_agree() {
     let bad = |texture: Value| options(&json!({ "texture": texture })).unwrap_err().remove(0).pointer;
     assert_eq!(bad(json!({"size": [64, 64], "max_size": 32})), "/texture/size");

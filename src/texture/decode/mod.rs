@@ -11,6 +11,7 @@ mod webp;
 
 pub(crate) use jpeg::coding as jpeg_coding;
 pub use probe::probe;
+pub(crate) use webp::quality as webp_quality;
 
 use std::io::Cursor;
 use std::panic::{UnwindSafe, catch_unwind};

@@ -53,7 +53,7 @@ fn files() -> Vec<(&'static str, Vec<u8>)> {
             "progressive",
             jpeg(bytes(&picture(24, 16, 3, false)), jpeg_encoder::ColorType::Rgb, |e| e.set_progressive(true)),
         ),
-        ("webp", encode(&picture(40, 24, 4, false), &Coding::Webp).unwrap()),
+        ("webp", encode(&picture(40, 24, 4, false), &Coding::Webp(None)).unwrap()),
         ("lossy webp", grey_webp([12, 9], Some(&[100; 108]))),
         ("uastc", uastc(0, 3, &level)),
         ("uastc, zstd", uastc(2, 0, &level)),
@@ -241,14 +241,14 @@ fn webp_round_trips_without_loss() {
             let DynamicImage::ImageRgba8(texels) = &mut image else { panic!("RGBA expected") };
             texels.pixels_mut().step_by(3).for_each(|texel| texel[3] = 0);
         }
-        let file = encode(&image, &Coding::Webp).unwrap();
+        let file = encode(&image, &Coding::Webp(None)).unwrap();
         let head = Header { width: 37, height: 21, channels: expected, depth: 8, format: Format::Webp };
         assert_eq!(header(&file).unwrap(), head);
         assert!(!is_lossy(&file));
         assert_eq!(decode(&file, 37 * 21).unwrap(), widened(image, expected, 8));
     }
-    assert!(encode(&picture(8, 8, 3, true), &Coding::Webp).is_err());
-    assert!(encode(&DynamicImage::new_luma8(16_384, 1), &Coding::Webp).is_err());
+    assert!(encode(&picture(8, 8, 3, true), &Coding::Webp(None)).is_err());
+    assert!(encode(&DynamicImage::new_luma8(16_384, 1), &Coding::Webp(None)).is_err());
 }
 
 #[test]
@@ -425,7 +425,7 @@ fn a_probe_tells_from_the_head_what_the_header_does() {
     for channels in 1..=4 {
         files.push(encode(&picture(37, 21, channels, false), &Coding::Png).unwrap());
         files.push(encode(&picture(37, 21, channels, true), &Coding::Png).unwrap());
-        files.push(encode(&picture(37, 21, channels, false), &Coding::Webp).unwrap());
+        files.push(encode(&picture(37, 21, channels, false), &Coding::Webp(None)).unwrap());
     }
     files.push(grey_webp([12, 9], None));
     files.push(grey_webp([12, 9], Some(&[7; 108])));

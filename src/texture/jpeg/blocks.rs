@@ -11,6 +11,10 @@ pub(super) type Coefficients = [i16; 64];
 /// The largest coefficient of a baseline file, apart from the first (ITU T.81, table F.2).
 const LARGEST: f32 = 1023.0;
 
+/// Below so many steps a coefficient is dropped, but for the first. Most of those that lie between this and a half are grain, and each of them
+/// costs some bits; a coefficient that was decoded from a file is near a whole number of steps, and stays.
+const DEAD: f32 = 0.58;
+
 /// A quantiser with one table.
 #[derive(Debug, Clone)]
 pub(super) struct Quantizer {
@@ -23,16 +27,19 @@ impl Quantizer {
         Quantizer { inverse: table.map(|step| 1.0 / f32::from(step.max(1))) }
     }
 
-    /// The coefficients of samples in -128..=127, each rounded to a multiple of its step.
+    /// The coefficients of samples in -128..=127, each rounded to a multiple of its step; small ones are dropped.
     pub(super) fn coefficients(&self, samples: &[Row; 8]) -> Coefficients {
         let transformed = transform(samples);
         let mut steps = [0i16; 64];
         for (v, row) in transformed.iter().enumerate() {
             for (u, value) in row.iter().enumerate() {
                 let value = value * self.inverse[v * 8 + u];
-                steps[v * 8 + u] = (value.clamp(-1024.0, LARGEST) + 0.5f32.copysign(value)) as i16;
+                let rounded = value.clamp(-1024.0, LARGEST) + 0.5f32.copysign(value);
+                steps[v * 8 + u] = if value.abs() < DEAD { 0 } else { rounded as i16 };
             }
         }
+        let first = transformed[0][0] * self.inverse[0];
+        steps[0] = (first.clamp(-1024.0, LARGEST) + 0.5f32.copysign(first)) as i16;
         let mut ordered = [0; 64];
         ordered.iter_mut().zip(ZIGZAG).for_each(|(out, place)| *out = steps[usize::from(place)]);
         ordered[1..].iter_mut().for_each(|c| *c = (*c).clamp(-(LARGEST as i16), LARGEST as i16));
