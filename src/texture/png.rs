@@ -101,8 +101,11 @@ fn chunk(file: &mut Vec<u8>, kind: &[u8; 4], data: &[u8]) {
     file.extend(sum.to_be_bytes());
 }
 
+/// Up to 256 colours.
+type Palette = Vec<[u8; 4]>;
+
 /// The samples as the file has them, row by row, and the palette.
-fn laid_out(image: &DynamicImage) -> (Layout, Cow<'_, [u8]>, Option<Vec<[u8; 4]>>) {
+fn laid_out(image: &DynamicImage) -> (Layout, Cow<'_, [u8]>, Option<Palette>) {
     let (width, channels) = (image.width() as usize, image.color().channel_count());
     let kind = match channels {
         1 => 0,
@@ -170,7 +173,7 @@ fn packed(samples: &[u8], width: usize, bits: u8, narrowed: impl Fn(u8) -> u8) -
 }
 
 /// The colours of an image of three or four channels in order of their brightness, and each texel's; none beyond 256 of them.
-fn palette(samples: &[u8], channels: usize) -> Option<(Vec<[u8; 4]>, Vec<u8>)> {
+fn palette(samples: &[u8], channels: usize) -> Option<(Palette, Vec<u8>)> {
     const SLOTS: usize = 1024;
     let colour = |texel: &[u8]| [texel[0], texel[1], texel[2], texel.get(3).copied().unwrap_or(255)];
     let slot = |c: [u8; 4]| (u32::from_le_bytes(c).wrapping_mul(0x9e37_79b1) >> 22) as usize;

@@ -23,8 +23,8 @@ const BARE_TRIANGLE: f64 = 400.0;
 const PYRAMID: f64 = 4.0 * BLOCKS;
 /// Blocks of all levels, by texel.
 const BLOCKS: f64 = 4.0 / 3.0 / 64.0;
-/// Symbols that a JPEG is encoded to before their bits are known, in bytes by texel.
-const SYMBOLS: f64 = 0.5;
+/// Symbols that a JPEG is encoded to before their bits are known, by byte of the file.
+const SYMBOLS: f64 = 3.0;
 /// Of a triangle that is cut and flattened: the piece that it is in, its elements and factors, the void about it, the best map so far.
 const UNWRAPPED: f64 = 2600.0;
 /// What cutting takes whatever the size.
@@ -32,7 +32,7 @@ const CUTTING: f64 = 30e6;
 /// Texels that a thread bakes at a time, and what it holds of each: owner, distance, and what fits it to the uploaded image.
 const BAND: (u64, f64) = (1 << 18, 40.0);
 /// What a thread holds of the strips of a page that is never held: texels, samples as floats, and what is seen of the file.
-const STRIPS: f64 = 60e6;
+const STRIPS: f64 = 55e6;
 /// Texels of the refined pages, of those of the upload: at most so many; where the area of the charts is known, that area times the second
 /// number and the third.
 const PAGE: (f64, f64, f64) = (0.95, 2.1, 0.12);
@@ -110,7 +110,7 @@ impl Sum {
             let bakes = demand.bakes && self.has_layout;
             let images = || self.images.iter().filter(|_| bakes);
             let page = self.page(demand);
-            let baking = images().map(|(header, _)| self.baking(*header, page, threads, demand)).fold(0.0, f64::max);
+            let baking = images().map(|image| self.baking(*image, page, threads, demand)).fold(0.0, f64::max);
             // An image is decoded while surfaces are unwrapped.
             let decoded = images().map(|(header, _)| samples(*header)).fold(0.0, f64::max);
             let unwrapping = if demand.unwraps { CUTTING + UNWRAPPED * surface + decoded } else { 0.0 };
@@ -140,18 +140,23 @@ impl Sum {
     /// What baking one image takes: the image, its page, and the larger of what baking and what encoding hold beside: a byte of state for each
     /// texel, the pyramid that fills the page (of floats and a weight), and the bands of the threads; symbols of a JPEG, or the page once more,
     /// filtered for a PNG.
-    fn baking(&self, header: Header, page: f64, threads: usize, demand: Demand) -> f64 {
+    fn baking(&self, (header, length): (Header, u64), page: f64, threads: usize, demand: Demand) -> f64 {
         let (count, channels) = (texels(header), f64::from(header.channels));
         let page = page * count as f64;
         let bands = (count / BAND.0).clamp(1, threads.max(1) as u64) * BAND.0;
         let band = BAND.1 * bands.min(count) as f64;
         let filling = 1.0 + PYRAMID * (channels + 1.0);
-        let encoding = if header.format == Format::Jpeg { SYMBOLS } else { texel_bytes(header) };
+        let symbols = SYMBOLS * length as f64;
+        let encoding = match header.format {
+            Format::Jpeg => symbols / count.max(1) as f64,
+            // Samples of 16 bits are turned round first.
+            _ => texel_bytes(header) * f64::from(header.depth / 8),
+        };
         let held_texel = texel_bytes(header) + filling.max(encoding);
         // Images of another size than the largest may have no texels that charts move by.
         let largest = self.images.iter().all(|(other, _)| texels(*other) <= count);
         if demand.copies && !self.is_unmeasured && largest && header.format == Format::Jpeg {
-            let strips = page * (PYRAMID * (channels + 1.0) + SYMBOLS) + STRIPS * threads.max(1) as f64;
+            let strips = page * PYRAMID * (channels + 1.0) + symbols + STRIPS * threads.max(1) as f64;
             let held = page.min(STREAMED_FROM as f64) * held_texel;
             return samples(header) + if page < STREAMED_FROM as f64 { held + band } else { held.max(strips) };
         }

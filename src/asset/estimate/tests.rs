@@ -209,10 +209,13 @@ fn what_is_allocated_of_a_texel_and_of_its_file_is_in_it() {
         estimated(&files).bytes as f64
     };
     let process = 19e6;
-    // By texel: as decoded, and of nearly as large a page its samples, a state, and a pyramid of floats with a weight a twelfth its size.
+    // By texel: as decoded, and of nearly as large a page its samples, and what is larger: a state and a pyramid of floats with a weight a
+    // forty-eighth its size, or the samples once more, filtered, of 16 bits twice.
     for (kind, depth, samples, channels) in [(0, 8, 1.0, 1.0), (2, 8, 3.0, 3.0), (6, 8, 4.0, 4.0), (6, 16, 8.0, 4.0)] {
         let texels = 16_000.0 * 16_000.0;
-        let held = texels * (samples + 0.9 * (samples + 1.0 + (channels + 1.0) / 3.0));
+        let filling: f64 = 1.0 + (channels + 1.0) * 4.0 / 48.0;
+        let encoding = if depth == 16 { 2.0 * samples } else { samples };
+        let held = texels * (samples + 0.9 * (samples + filling.max(encoding)));
         let one = of(&[head(16_000, 16_000, kind, depth)]) - process;
         assert!(one > held && one < 1.15 * held, "{kind} {depth}: {one} of {held}");
         // One slot is baked at a time: four of them take the room of one, and of their files.

@@ -86,14 +86,14 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
     bytes.get(at..at + 4)?.try_into().ok().map(u32::from_le_bytes)
 }
 
-/// Quality in 0..=100 of a lossy file, as libwebp has it, from the quantiser of its frame, or the mean of those of its segments (RFC 6386,
-/// 9.3 to 9.6). None for other files.
+/// Quality in 0..=100 of a lossy file, as libwebp has it, from the quantiser of its frame, or those of its segments by their shares of the
+/// picture (RFC 6386, 9.3 to 9.6). None for other files.
 pub(crate) fn quality(bytes: &[u8]) -> Option<u8> {
     let frame = container(bytes).ok().filter(|c| c.lossy)?.frame;
     let mut bits = BoolDecoder::new(frame.get(10..)?);
     // Colour space, clamping.
     bits.number(2);
-    let mut segments = None;
+    let (mut segments, mut shares) = (None, [0.25; 4]);
     if bits.flag() {
         let (map, data) = (bits.flag(), bits.flag());
         if data {
@@ -105,11 +105,10 @@ pub(crate) fn quality(bytes: &[u8]) -> Option<u8> {
             segments = Some((absolute, steps));
         }
         if map {
-            (0..3).for_each(|_| {
-                if bits.flag() {
-                    bits.number(8);
-                }
-            });
+            // Of 255 in the first half, of that in its first half, of the other half in its first.
+            let [half, first, third] =
+                [0; 3].map(|_| if bits.flag() { f64::from(bits.number(8)) / 255.0 } else { 1.0 });
+            shares = [half * first, half * (1.0 - first), (1.0 - half) * third, (1.0 - half) * (1.0 - third)];
         }
     }
     // The loop filter: kind, level, sharpness, and what changes them.
@@ -122,15 +121,17 @@ pub(crate) fn quality(bytes: &[u8]) -> Option<u8> {
     // Partitions.
     bits.number(2);
     let base = bits.number(7) as i32;
-    let index = match segments {
+    // The library takes 127 (1 - c), where c is the cube root of a function of quality that has a bend at 3/4; for a segment it raises c to a
+    // power, and those are 1 in the mean.
+    let compression = |index: i32| (1.0 - f64::from(index.clamp(0, 126)) / 127.0).ln();
+    let mean = match segments {
         Some((absolute, steps)) => {
-            let steps = steps.map(|step| if absolute { step } else { base + step }.clamp(0, 127));
-            steps.iter().sum::<i32>() as f64 / 4.0
+            let own = steps.map(|step| compression(if absolute { step } else { base + step }));
+            own.iter().zip(shares).map(|(own, share)| own * share).sum()
         }
-        None => f64::from(base),
+        None => compression(base),
     };
-    // The library takes 127 (1 - c), where c is the cube root of a function of quality that has a bend at 3/4.
-    let linear = (1.0 - index / 127.0).powi(3);
+    let linear = mean.exp().powi(3);
     let quality = if linear < 0.5 { linear * 1.5 } else { (linear + 1.0) / 2.0 };
     Some((quality * 100.0).round().clamp(0.0, 100.0) as u8)
 }
