@@ -48,7 +48,7 @@ impl PageKind {
 }
 
 /// Bytes a texel, of those of the upload, from which it is said.
-const HEAVIER: f64 = 1.2;
+const HEAVIER: f64 = 1.3;
 
 /// What the options make of a slot.
 pub(super) struct Plan<'a> {

@@ -13,7 +13,7 @@ fn it_tells_its_health_its_contract_and_its_limits() {
     assert_eq!(json(&mut server.get("/v1/limits", &[]))["max_queued"], 7);
     let recipes = json(&mut server.get("/v1/recipes", &[]));
     assert_eq!(recipes["recipes"][0]["name"], "pack");
-    assert_eq!(recipes["stages"][0]["parameters"]["properties"]["grid"]["oneOf"][1]["type"], "integer");
+    assert_eq!(recipes["stages"][0]["parameters"]["$defs"]["Grid"]["oneOf"][1]["type"], "integer");
     let contract = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/api/openapi.json")).unwrap();
     assert!(bytes(&mut server.get("/openapi.json", &[])) == contract, "the contract served is the one on file");
 }
