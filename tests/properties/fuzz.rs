@@ -252,9 +252,10 @@ fn damaged_input_is_answered_soon_and_in_bounded_memory() {
     }
     assert!(faults.is_empty(), "{} faults:\n{}", faults.len(), faults.join("\n"));
     for (kind, t) in tallies.iter().filter(|(_, t)| t.cases >= 250) {
-        // Damage of which nothing passes, or everything, tries nothing.
+        // Damage of which nothing passes, or everything, tries nothing; but numbers that make no sense are only held back.
         let share = t.taken as f64 / t.cases as f64;
-        assert!((0.002..0.98).contains(&share), "{kind}: {share} of the cases are taken");
+        let most = if *kind == "data" { 1.0 } else { 0.98 };
+        assert!((0.002..=most).contains(&share), "{kind}: {share} of the cases are taken");
     }
 }
 
