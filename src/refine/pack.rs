@@ -119,17 +119,24 @@ fn piece(atlas: &Atlas, topology: &Topology, charts: &Charts, own: &[ChartId]) -
     piece
 }
 
+/// The finest steps that charts may move by, in texels of the smallest slot.
+fn finest_grid(sheet_info: &SheetInfo, pack: &Pack) -> u32 {
+    let asked = match pack.grid {
+        Grid::Texels(n) => n,
+        Grid::Auto => 1,
+    };
+    if sheet_info.mipmaps && !sheet_info.is_virtual {
+        asked.max(MIP_LATTICE.min(sheet_info.gutter(pack).max(1)))
+    } else {
+        asked
+    }
+}
+
 /// Steps that charts move by, in texels of the smallest slot. Of the blocks of JPEG files, or of a half where chroma has half the
 /// resolution, those that cost little: a chart that keeps to steps of n texels takes about n / 2 more of them on either axis.
 fn grid(sheet_info: &SheetInfo, options: &Options, pieces: &[Piece]) -> u32 {
-    let fine = match options.pack.grid {
-        Grid::Texels(n) => return n,
-        Grid::Auto if sheet_info.mipmaps && !sheet_info.is_virtual => {
-            MIP_LATTICE.min(sheet_info.gutter(&options.pack).max(1))
-        }
-        Grid::Auto => 1,
-    };
-    if !options.texture.format.has_jpeg() {
+    let fine = finest_grid(sheet_info, &options.pack);
+    if options.pack.grid != Grid::Auto || !options.texture.format.has_jpeg() {
         return fine;
     }
     let unit = f64::from(sheet_info.unit);
@@ -159,14 +166,9 @@ fn spacing(sheet_info: &SheetInfo, pack: &Pack, grid: u32, scaled: bool) -> Spac
     if pack.rotation == Rotation::Any || scaled {
         return Spacing { gutter, margin, lattice: None, unit };
     }
-    let steps = if sheet_info.mipmaps && !sheet_info.is_virtual {
-        grid.max(MIP_LATTICE.min(sheet_info.gutter(pack).max(1)))
-    } else {
-        grid
-    };
     // Cells divide the lattice by a power of two: an odd factor goes into the cell.
-    let twos = 1 << steps.trailing_zeros().min(6);
-    let unit = unit * f64::from(steps / twos);
+    let twos = 1 << grid.trailing_zeros().min(6);
+    let unit = unit * f64::from(grid / twos);
     let lattice = unit * f64::from(twos);
     Spacing { gutter, margin: (margin / lattice).ceil() * lattice, lattice: Some(lattice), unit }
 }
@@ -191,7 +193,7 @@ pub(super) fn largest_chart(sheet_info: &SheetInfo, options: &Options) -> Option
         return None;
     }
     let (max, round) = sides(sheet_info, options);
-    let grid = grid(sheet_info, options, &[]);
+    let grid = finest_grid(sheet_info, &options.pack);
     let Spacing { gutter, margin, lattice, unit } = spacing(sheet_info, &options.pack, grid, false);
     let lost = 2.0 * (margin.max(gutter) + lattice.unwrap_or(unit));
     let largest = largest_sheet(max, round, options.pack.aspect);

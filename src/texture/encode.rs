@@ -1,10 +1,11 @@
 //! Image files out.
 
+use image::DynamicImage;
+
 use super::jpeg::JpegCoding;
 use super::pixels::Depth;
 use super::{Format, png, webp};
 use crate::error::{Failure, Result};
-use image::DynamicImage;
 
 /// A format, and what its encoder is told.
 #[derive(Debug, Clone, PartialEq, Eq)]

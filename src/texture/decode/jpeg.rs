@@ -67,7 +67,9 @@ pub(crate) fn coding(bytes: &[u8]) -> Option<JpegCoding> {
             Some(whole[k] / part[k]).filter(|ratio| [1, 2, 4].contains(ratio) && ratio * part[k] == whole[k])
         };
         if part.iter().all(|n| *n > 0) && factors(&components[2]) == part && count == 3 {
-            sampling = [ratio(0).unwrap_or(1), ratio(1).unwrap_or(1)];
+            let ratios = [ratio(0).unwrap_or(1), ratio(1).unwrap_or(1)];
+            // Ten blocks are the most that a scan of all components holds together (B.2.3).
+            sampling = if ratios[0] * ratios[1] <= 8 { ratios } else { [1, 1] };
         }
     }
     Some(JpegCoding { tables: Box::new([luma, chroma]), sampling, progressive: marker == PROGRESSIVE, decoded: true })

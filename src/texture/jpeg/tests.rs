@@ -79,6 +79,20 @@ fn strips_give_what_the_whole_does_and_flat_pictures_are_small() {
     assert!(file.len() < 4096 * 4096 / 256 * 12 / 8 + 400, "{}", file.len());
 }
 
+/// Another crate writes these: what it writes must be read as it was meant.
+#[test]
+fn progressive_files_stay_so_and_show_the_picture() {
+    for sampling in [[1, 1], [2, 1], [2, 2]] {
+        let image = picture(300, 203, 3, false);
+        let first = encoded(&image, &JpegCoding { sampling, ..JpegCoding::of_quality(85) });
+        let shown = decode(&first, 1 << 20).unwrap();
+        let file = encoded(&shown, &JpegCoding { sampling, progressive: true, ..JpegCoding::of_quality(85) });
+        assert!(jpeg_coding(&file).unwrap().progressive);
+        let again = decode(&file, 1 << 20).unwrap();
+        assert!(psnr(&shown, &again) > 30.0, "{sampling:?}: {}", psnr(&shown, &again));
+    }
+}
+
 #[test]
 fn several_files_meet_in_the_finer() {
     let (a, b) = (JpegCoding::of_quality(60), JpegCoding { progressive: true, ..JpegCoding::of_quality(92) });
