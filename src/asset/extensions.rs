@@ -3,7 +3,7 @@
 use serde_json::{Map, Value};
 
 use super::json::array;
-use crate::texture::Role;
+use crate::texture::{Format, Role};
 
 /// Where a document declares its extensions.
 const DECLARATIONS: [&str; 2] = ["extensionsUsed", "extensionsRequired"];
@@ -12,6 +12,8 @@ const DECLARATIONS: [&str; 2] = ["extensionsUsed", "extensionsRequired"];
 pub(crate) const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
 /// WebP as the image of a texture.
 pub(crate) const TEXTURE_WEBP: &str = "EXT_texture_webp";
+/// KTX2 as the image of a texture.
+pub(crate) const TEXTURE_BASISU: &str = "KHR_texture_basisu";
 /// Materials of a primitive that a viewer chooses from.
 pub(crate) const VARIANTS: &str = "KHR_materials_variants";
 /// Highlights along a direction of the surface.
@@ -114,7 +116,7 @@ const TABLE: [Extension; 31] = [
     Extension { on_primitive: OnPrimitive::ReadsLayout, ..Extension::named("EXT_structural_metadata") },
     // Textures.
     Extension { written: true, ..Extension::handled(TEXTURE_TRANSFORM) },
-    Extension::image_source("KHR_texture_basisu"),
+    Extension::image_source(TEXTURE_BASISU),
     Extension::image_source(TEXTURE_WEBP),
     Extension::ignored("EXT_texture_avif"),
     // Materials.
@@ -191,6 +193,15 @@ pub(crate) fn is_understood(name: &str) -> bool {
 /// Whether an extension gives a texture its image.
 pub(crate) fn is_image_source(name: &str) -> bool {
     find(name).is_some_and(|e| e.image_source)
+}
+
+/// The extension by which a texture names an image of a format; none where it needs none.
+pub(crate) fn image_source(format: Format) -> Option<&'static str> {
+    match format {
+        Format::Webp => Some(TEXTURE_WEBP),
+        Format::Ktx2 => Some(TEXTURE_BASISU),
+        Format::Png | Format::Jpeg => None,
+    }
 }
 
 /// How an extension of a primitive, `value`, stands to its layout. One that is not in the table is asked what it names.

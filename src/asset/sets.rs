@@ -17,7 +17,7 @@ use super::transform::{TextureTransform, UvLayout};
 use crate::atlas::find_root;
 use crate::context::Context;
 use crate::error::{Result, Warning};
-use crate::texture::{Alpha, Direction, Header, Role, header, jpeg_coding};
+use crate::texture::{Alpha, BASIS_BLOCK, Direction, Format, Header, Role, header, jpeg_coding};
 use crate::texture::{Reading, Slot};
 
 /// A texture set before its geometry is read.
@@ -424,7 +424,10 @@ fn slot(doc: &Document, image: usize, mut readers: Readers) -> std::result::Resu
         role: readers.roles.first().copied().unwrap_or(Role::BaseColor),
         name: String::new(),
         header,
-        block: jpeg_coding(bytes).map_or(1, |coding| coding.block().into_iter().max().unwrap_or(1)),
+        block: match header.format {
+            Format::Ktx2 => BASIS_BLOCK,
+            _ => jpeg_coding(bytes).map_or(1, |coding| coding.block().into_iter().max().unwrap_or(1)),
+        },
         readings: readers.readings,
         mipmaps: readers.mipmaps,
         alpha: common_alpha(&readers.alphas),

@@ -306,7 +306,7 @@ impl Measures {
 }
 
 /// Bytes of an image as 8-bit RGBA with all mip levels.
-fn gpu_bytes(mut width: u32, mut height: u32) -> u64 {
+pub(crate) fn gpu_bytes(mut width: u32, mut height: u32) -> u64 {
     let mut bytes = 0;
     loop {
         bytes += 4 * u64::from(width) * u64::from(height);

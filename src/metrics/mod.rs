@@ -20,6 +20,7 @@ mod requirement;
 
 pub use density::TexelDensity;
 pub use gate::{Unmet, Verdict, check_path, judge, paths};
+pub(crate) use measures::gpu_bytes;
 pub use measures::{MeasureInputs, Measures, SlotSize, measure, roll_up, without_layout};
 pub use outcome::RefinementOutcome;
 pub use picture::picture;

@@ -2,10 +2,12 @@
 
 use image::{ColorType, DynamicImage};
 
-use crate::context::Context;
 use crate::error::Warning;
 use crate::texture::Slot;
-use crate::texture::{Coding, Format, JpegCoding, JpegQuality, Texture, TextureFormat, WEBP_SIDE, WebpQuality};
+use crate::texture::{
+    Alpha, BASIS_BLOCK, BASIS_SIDE, BasisCoding, BasisKind, BasisUpload, Coding, Format, JpegCoding, JpegQuality,
+    MipFilter, Texture, TextureFormat, WEBP_SIDE, WebpQuality,
+};
 
 /// An uploaded file that a slot is read from.
 #[derive(Debug, Clone)]
@@ -22,12 +24,14 @@ pub(super) struct Upload {
     pub jpeg: Option<JpegCoding>,
     /// Its quality in 0..=100, of a lossy WebP file.
     pub webp: Option<u8>,
+    /// What it takes with it, of a KTX2 file with blocks of Basis Universal.
+    pub basis: Option<BasisUpload>,
 }
 
 impl Upload {
     /// What its format is called, if `keep` does not write it.
     fn replaced(&self) -> Option<&'static str> {
-        (self.format == Format::Ktx2).then_some("KTX2")
+        (self.format == Format::Ktx2 && self.basis.is_none()).then_some("KTX2 without Basis Universal")
     }
 }
 
@@ -72,6 +76,7 @@ impl<'a> Plan<'a> {
             TextureFormat::Png => Format::Png,
             TextureFormat::Jpeg => Format::Jpeg,
             TextureFormat::Webp => Format::Webp,
+            TextureFormat::Ktx2 | TextureFormat::Ktx2Etc1s | TextureFormat::Ktx2Uastc => Format::Ktx2,
         };
         let jpeg = || match options.jpeg_quality {
             JpegQuality::Quality(quality) => JpegCoding::of_quality(quality),
@@ -86,10 +91,21 @@ impl<'a> Plan<'a> {
             WebpQuality::Keep if uploads.iter().any(|u| !u.lossy) => None,
             WebpQuality::Keep => uploads.iter().filter_map(|u| u.webp).max(),
         };
+        let basis = || {
+            let filter = MipFilter::of(slot.role, slot.alpha == Alpha::Blend);
+            let known: Vec<&BasisUpload> = uploads.iter().filter_map(|u| u.basis.as_ref()).collect();
+            let kind = match asked {
+                TextureFormat::Ktx2Etc1s => Some(BasisKind::Etc1s),
+                TextureFormat::Ktx2Uastc => Some(BasisKind::Uastc),
+                _ => None,
+            };
+            BasisCoding::of(&known, kind, filter, slot.mipmaps)
+        };
         let wanted = match format {
             Format::Jpeg => Coding::Jpeg(jpeg()),
             Format::Webp => Coding::Webp(webp()),
-            Format::Png | Format::Ktx2 => Coding::Png,
+            Format::Ktx2 => Coding::Basis(basis()),
+            Format::Png => Coding::Png,
         };
         Plan {
             slot,
@@ -121,20 +137,29 @@ impl<'a> Plan<'a> {
             Format::Jpeg if deep || colour.has_alpha() => Some("alpha or 16 bits, which JPEG cannot hold"),
             Format::Webp if deep => Some("16 bits, which WebP cannot hold"),
             Format::Webp if width.max(height) > WEBP_SIDE => Some("a side that is too long for WebP"),
+            Format::Ktx2 if deep => Some("16 bits, which Basis Universal cannot hold"),
+            Format::Ktx2 if width.max(height) > BASIS_SIDE => {
+                Some("a side that is too long for its mip levels in KTX2")
+            }
+            Format::Ktx2 if !width.is_multiple_of(BASIS_BLOCK) || !height.is_multiple_of(BASIS_BLOCK) => {
+                Some("sides that are no multiples of 4, as KTX2 asks for (set texture.multiple_of)")
+            }
             _ => None,
         }
     }
 
-    /// Warns of what the user may not expect of the pages, written in `after` bytes.
-    pub(super) fn warn(&self, pages: &[PageKind], after: u64, context: &Context) {
+    /// What the user may not expect of the pages, written in `after` bytes.
+    pub(super) fn warnings(&self, pages: &[PageKind], after: u64) -> Vec<Warning> {
         let name = &self.slot.name;
-        let warn = |code: &str, text: String| {
-            context.warn(Warning::new(code, text).at(format!("/images/{}", self.slot.image)));
+        let mut all = Vec::new();
+        let mut warn = |code: &str, text: String| {
+            all.push(Warning::new(code, text).at(format!("/images/{}", self.slot.image)));
         };
         if let Some(obstacle) = pages.iter().find_map(|page| self.obstacle(*page)) {
             warn("kept_png", format!("{name} has {obstacle}: it is written as PNG"));
         }
-        let loses = |page: &PageKind| matches!(self.of(*page), Coding::Jpeg(_) | Coding::Webp(Some(_)));
+        let loses =
+            |page: &PageKind| matches!(self.of(*page), Coding::Jpeg(_) | Coding::Webp(Some(_)) | Coding::Basis(_));
         if self.uploads.iter().any(|u| u.lossy) && pages.iter().any(loses) {
             let text =
                 "was compressed with a loss and is compressed once more (set texture.format to \"png\" to avoid that)";
@@ -144,7 +169,7 @@ impl<'a> Plan<'a> {
         if let Some(uploaded) = self.uploads.iter().find_map(Upload::replaced).filter(|_| self.keep) {
             let text = format!("{name} was {uploaded} of {before} bytes and is written as PNG of {after} bytes");
             warn("reencoded_png", text);
-            return;
+            return all;
         }
         let texels_before: u64 = self.uploads.iter().map(|u| u.texels).sum();
         let texels: u64 = pages.iter().map(|page| u64::from(page.size[0]) * u64::from(page.size[1])).sum();
@@ -165,6 +190,7 @@ impl<'a> Plan<'a> {
             );
             warn("heavier_texture", text);
         }
+        all
     }
 }
 
@@ -199,13 +225,12 @@ mod tests {
                 texels: 1,
                 jpeg: None,
                 webp: (uploaded == Format::Webp && lossy).then_some(80),
+                basis: None,
             }],
             &to(wanted),
         );
-        let context = Context::silent();
         let format = plan.of(PageKind::of(&page)).format();
-        plan.warn(&[PageKind::of(&page)], 250, &context);
-        (format, context.warnings().into_iter().map(|w| w.code).collect())
+        (format, plan.warnings(&[PageKind::of(&page)], 250).into_iter().map(|w| w.code).collect())
     }
 
     #[test]
@@ -243,11 +268,11 @@ mod tests {
     fn the_bytes_before_and_after_are_named() {
         // Of two models that share a sheet, one brings what is not written.
         let slot = fixture::slot(0, [8, 8]);
-        let upload = |format, lossy, bytes| Upload { format, lossy, bytes, texels: 64, jpeg: None, webp: None };
+        let upload =
+            |format, lossy, bytes| Upload { format, lossy, bytes, texels: 64, jpeg: None, webp: None, basis: None };
         let uploads = vec![upload(Format::Png, false, 70), upload(Format::Ktx2, true, 31)];
-        let context = Context::silent();
-        Plan::new(&slot, uploads, &to(TextureFormat::Keep)).warn(&[PageKind::of(&page(3, false, 8))], 250, &context);
-        let warning = context.warnings().remove(0);
+        let plan = Plan::new(&slot, uploads, &to(TextureFormat::Keep));
+        let warning = plan.warnings(&[PageKind::of(&page(3, false, 8))], 250).remove(0);
         assert!(warning.message.contains("101 bytes") && warning.message.contains("250 bytes"), "{}", warning.message);
         assert_eq!((warning.code.as_str(), warning.pointer.as_deref()), ("reencoded_png", Some("/images/0")));
     }
@@ -257,10 +282,17 @@ mod tests {
         let mut slot = fixture::slot(0, [8, 8]);
         slot.header.format = Format::Jpeg;
         let told = |after: u64, options: Texture| {
-            let upload = Upload { format: Format::Jpeg, lossy: true, bytes: 400, texels: 800, jpeg: None, webp: None };
-            let context = Context::silent();
-            Plan::new(&slot, vec![upload], &options).warn(&[PageKind::of(&page(3, false, 400))], after, &context);
-            context.warnings().into_iter().find(|w| w.code == "heavier_texture").map(|w| w.message)
+            let upload = Upload {
+                format: Format::Jpeg,
+                lossy: true,
+                bytes: 400,
+                texels: 800,
+                jpeg: None,
+                webp: None,
+                basis: None,
+            };
+            let told = Plan::new(&slot, vec![upload], &options).warnings(&[PageKind::of(&page(3, false, 400))], after);
+            told.into_iter().find(|w| w.code == "heavier_texture").map(|w| w.message)
         };
         assert_eq!(told(215, to(TextureFormat::Keep)), None);
         let packed = told(300, to(TextureFormat::Keep)).unwrap();

@@ -93,6 +93,12 @@ impl Options {
 }
 
 impl Options {
+    /// What textures must not have more of, once they are encoded.
+    pub(super) fn weighed(&self) -> &[Weighed] {
+        let keeps = self.atlas.if_larger == IfLarger::KeepInput && self.texture.size == Size::KeepDensity;
+        if keeps { &self.atlas.if_larger_by } else { &[] }
+    }
+
     /// What the recipe does, as far as memory is concerned.
     pub fn demand(&self) -> Demand {
         let steps = self.steps();
@@ -104,7 +110,8 @@ impl Options {
             && self.texture.overflow == Overflow::Pages
             && self.texture.format.has_jpeg()
             && !self.atlas.merge;
-        Demand { bakes: self.atlas.uv_set != UvSet::New, unwraps, copies }
+        let ktx2 = self.texture.format.asks_for_ktx2();
+        Demand { bakes: self.atlas.uv_set != UvSet::New, unwraps, copies, ktx2 }
     }
 }
 
@@ -199,7 +206,30 @@ impl ToSchema for OptionsSchema {
     }
 }
 
-/// What happens when the refined textures have more pixels than the input's.
+/// What the textures of an atlas are weighed by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Weighed {
+    /// Their pixels.
+    Pixels,
+    /// The bytes of their files.
+    Bytes,
+    /// Bytes on a graphics card, uncompressed with all mip levels.
+    GpuBytes,
+}
+
+impl Weighed {
+    /// In a sentence, after "more".
+    pub(super) fn told(self) -> &'static str {
+        match self {
+            Weighed::Pixels => "pixels",
+            Weighed::Bytes => "bytes",
+            Weighed::GpuBytes => "bytes on a graphics card",
+        }
+    }
+}
+
+/// What happens when the refined textures are larger than the input's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum IfLarger {
@@ -224,6 +254,8 @@ params! {
         pub uv_set: UvSet = UvSet::Number(0);
         /// What happens when nothing is gained.
         pub if_larger: IfLarger = IfLarger::KeepInput;
+        /// What "larger" means: more of any of these.
+        pub if_larger_by: Vec<Weighed> = vec![Weighed::Pixels];
     }
 }
 

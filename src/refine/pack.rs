@@ -4,7 +4,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Map, Value};
 
-use super::options::{IfLarger, Options};
+use super::options::{Options, Weighed};
 use super::refinement::NOT_SMALLER;
 use super::stage::{SheetInfo, Stage, StageInput, Staged};
 use crate::asset::lcm;
@@ -14,7 +14,7 @@ use crate::atlas::{
 use crate::error::{Code, Failure, Result, Warning};
 use crate::packing::{self, InitialLayout, Packing, Piece, Request, Rounding, Spacing};
 use crate::packing::{Grid, Pack, Rotation};
-use crate::texture::{Overflow, Size};
+use crate::texture::{BASIS_BLOCK, Overflow, Size};
 
 /// Quarter-turned charts of mipmapped textures keep to multiples of this many texels, so that mip levels 1 and 2 stay as they were.
 const MIP_LATTICE: u32 = 4;
@@ -95,8 +95,7 @@ pub(super) fn lay_out(
 /// Whether the result has more pixels than the input and nothing else speaks for it.
 fn keeps_input(input: &StageInput<'_>, after: &Atlas) -> bool {
     let StageInput { atlas: before, sheet_info, options, .. } = *input;
-    options.atlas.if_larger == IfLarger::KeepInput
-        && options.texture.size == Size::KeepDensity
+    options.weighed().contains(&Weighed::Pixels)
         && !sheet_info.is_virtual
         && !sheet_info.joined
         && after.pixels() > before.pixels()
@@ -132,11 +131,11 @@ fn finest_grid(sheet_info: &SheetInfo, pack: &Pack) -> u32 {
     }
 }
 
-/// Steps that charts move by, in texels of the smallest slot. Of the blocks of JPEG files, or of a half where chroma has half the
+/// Steps that charts move by, in texels of the smallest slot. Of the blocks of JPEG and KTX2 files, or of a half where chroma has half the
 /// resolution, those that cost little: a chart that keeps to steps of n texels takes about n / 2 more of them on either axis.
 fn grid(sheet_info: &SheetInfo, options: &Options, pieces: &[Piece]) -> u32 {
     let fine = finest_grid(sheet_info, &options.pack);
-    if options.pack.grid != Grid::Auto || !options.texture.format.has_jpeg() {
+    if options.pack.grid != Grid::Auto || !options.texture.format.keeps_blocks() {
         return fine;
     }
     let unit = f64::from(sheet_info.unit);
@@ -155,7 +154,10 @@ fn grid(sheet_info: &SheetInfo, options: &Options, pieces: &[Piece]) -> u32 {
         let step = f64::from(n - fine) * unit;
         n > fine && around * step / 2.0 <= BLOCKS_COST * area && longest + 4.0 * f64::from(n) * unit <= max
     };
-    [sheet_info.block, sheet_info.block / 2].into_iter().find(|n| *n >= 8 && cheap(*n)).unwrap_or(fine)
+    [sheet_info.block, sheet_info.block / 2]
+        .into_iter()
+        .find(|n| (*n >= 8 || *n == sheet_info.block) && cheap(*n))
+        .unwrap_or(fine)
 }
 
 /// What the options and the slots' sizes ask of packing; charts move by `grid` texels of the smallest slot.
@@ -176,7 +178,9 @@ fn spacing(sheet_info: &SheetInfo, pack: &Pack, grid: u32, scaled: bool) -> Spac
 /// The longest side that a sheet may have, and what sides are rounded to.
 pub(super) fn sides(sheet_info: &SheetInfo, options: &Options) -> (f64, Rounding) {
     let texture = &options.texture;
-    let step = f64::from(lcm(texture.multiple_of, sheet_info.unit).unwrap_or(u32::MAX));
+    // The smallest slot, too, is made of whole blocks.
+    let blocks = if sheet_info.basis || texture.format.asks_for_ktx2() { BASIS_BLOCK } else { 1 };
+    let step = f64::from(lcm(texture.multiple_of, sheet_info.unit.saturating_mul(blocks)).unwrap_or(u32::MAX));
     let round = match (sheet_info.is_virtual, texture.power_of_two) {
         (true, true) => Rounding::PowerOfTwo(1.0),
         (true, false) => Rounding::MultipleOf(1.0),

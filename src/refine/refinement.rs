@@ -79,6 +79,13 @@ impl<'a> Refinement<'a> {
         }
     }
 
+    /// Goes back to what was uploaded.
+    pub fn keep_input(&mut self) {
+        let mut stages = std::mem::take(&mut self.stages);
+        stages.iter_mut().for_each(|stage| stage.stopped_by = NOT_SMALLER.to_owned());
+        *self = Refinement { stages, ..Refinement::untouched(self.group) };
+    }
+
     /// Runs a stage. A result that fails its check is not taken, nor one that had to be smaller and is not.
     ///
     /// # Errors

@@ -5,15 +5,15 @@ use serde_json::Value;
 use super::deliver::deliver;
 use super::group::Member;
 use super::load::{Loaded, load};
-use super::options::{Container, Options};
+use super::options::{Container, Options, Weighed};
 use super::recipe::Step;
 use super::refinement::{Refinement, Rounded, STAGE_REVERTED};
 use super::report::report;
-use super::textures::{Images, bake_slots};
+use super::textures::{Images, bake_slots, has_grown};
 use super::write::write;
 use crate::asset::{File, Limits};
 use crate::context::Context;
-use crate::error::{Failure, Result};
+use crate::error::{Failure, Result, Warning};
 use crate::metrics::{RefinementOutcome, Verdict, judge};
 
 /// What comes in.
@@ -171,6 +171,17 @@ impl<'a> Run<'a> {
             if let Some(Rounded { atlas, step }) = rounded {
                 (r.atlas, r.step) = (atlas, step);
             }
+            // Pixels were weighed when the charts were packed.
+            let weighed = self.options.weighed().iter().filter(|w| **w != Weighed::Pixels && !r.group.is_joined());
+            if let Some(what) = weighed.copied().find(|what| has_grown(loaded, r.group, &r.slots, *what)) {
+                let (id, what) = (r.group.set().id, what.told());
+                let text = format!(
+                    "the textures of atlas {id} would take more {what}: it stays as it was (set atlas.if_larger to \"accept\" to take the result)"
+                );
+                self.context.warn(Warning::new("kept_input", text));
+                r.keep_input();
+            }
+            r.slots.iter_mut().flat_map(|slot| slot.warnings.drain(..)).for_each(|warning| self.context.warn(warning));
         }
         Ok(refinements)
     }

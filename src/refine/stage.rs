@@ -10,7 +10,7 @@ use crate::context::Context;
 use crate::error::{Result, Warning};
 use crate::packing::{Gutter, Pack};
 use crate::params::Params;
-use crate::texture::Slot;
+use crate::texture::{Format, Slot};
 
 /// An algorithm from Atlas to Atlas. It is its parameters; all that is known of it elsewhere (options, recipes, command line, HTTP,
 /// progress, report) follows from this and from its line in the table of stages.
@@ -100,6 +100,8 @@ pub struct SheetInfo {
     pub is_virtual: bool,
     /// Side of the blocks that files are encoded by, the largest of all slots, in texels of the smallest slot; 1 where there are none.
     pub block: u32,
+    /// Whether some slot was uploaded as KTX2: its sheets are made of whole blocks.
+    pub basis: bool,
     /// Whether any primitive is skinned or morphed, or so far from the origin that 32 bits hold no points between its vertices: it is better cut along edges.
     pub along_edges: bool,
     /// Whether any image holds directions, which mirroring turns round.
@@ -135,6 +137,7 @@ impl SheetInfo {
             reference: set.reference,
             unit,
             block,
+            basis: slots().any(|s| s.header.format == Format::Ktx2),
             mipmaps: slots().any(|s| s.mipmaps),
             is_virtual: set.slots.is_empty(),
             along_edges: set.primitives.iter().any(|p| p.along_edges),
@@ -167,6 +170,7 @@ impl SheetInfo {
             reference: [100, 100],
             unit: 1,
             block: 1,
+            basis: false,
             mipmaps: false,
             is_virtual: true,
             along_edges: false,

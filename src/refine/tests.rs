@@ -44,6 +44,10 @@ fn model(outcome: &Outcome) -> Document {
     document(File { path: found.name.clone(), bytes: found.bytes.clone() })
 }
 
+fn artifact<'a>(outcome: &'a Outcome, name: &str) -> &'a [u8] {
+    &outcome.artifacts.iter().find(|a| a.name == name).unwrap().bytes
+}
+
 fn sets(doc: &Document) -> Vec<TextureSet> {
     let index = asset::MaterialIndex::new(doc).unwrap();
     asset::read(doc, &index, ReadOptions::default(), &Context::silent()).unwrap()
@@ -244,6 +248,46 @@ fn textures_have_the_format_that_is_asked_for() {
         textures(&outcome, "base_color")[0].1.len()
     };
     assert!(3 * at(20) < at(95));
+}
+
+#[test]
+fn ktx2_is_named_by_its_extension_and_stays_ktx2() {
+    let (first, _) = run("textured", options(json!({ "format": "ktx2" }), json!({})));
+    let source = |outcome: &Outcome| {
+        let json = model(outcome).json;
+        let textures = json["textures"].as_array().unwrap().clone();
+        let named = textures.iter().all(|t| {
+            t.get("source").is_none() && t.pointer("/extensions/KHR_texture_basisu/source").is_some_and(Value::is_u64)
+        });
+        (named, json["extensionsRequired"].clone())
+    };
+    assert_eq!(source(&first), (true, json!(["KHR_texture_basisu"])));
+    let again = File { path: "again.glb".to_owned(), bytes: artifact(&first, "model.glb").to_vec() };
+    let (second, warnings) = run_on(again, options(json!({}), json!({})), true);
+    assert_eq!(source(&second), source(&first));
+    assert!(!warnings.iter().any(|w| w == "reencoded_png" || w == "kept_png"), "{warnings:?}");
+    for (media_type, _, head) in textures(&second, "atlas-") {
+        assert_eq!((media_type, head.width % 4, head.height % 4), ("image/ktx2", 0, 0));
+    }
+}
+
+#[test]
+fn what_would_become_heavier_stays_where_bytes_are_weighed() {
+    let (light, _) = run("textured", options(json!({ "format": "jpeg", "jpeg_quality": 20 }), json!({ "gutter": 12 })));
+    let light = || File { path: "light.glb".to_owned(), bytes: artifact(&light, "model.glb").to_vec() };
+    let as_png = |weighed: Value| {
+        let asked =
+            json!({ "texture": { "format": "png" }, "pack": { "gutter": 1 }, "atlas": { "if_larger_by": weighed } });
+        run_on(light(), asked, false)
+    };
+    let (taken, _) = as_png(json!(["pixels", "gpu_bytes"]));
+    let (kept, warnings) = as_png(json!(["bytes"]));
+    assert_eq!(taken.report["atlases"][0]["outcome"], "refined");
+    assert_eq!(
+        (&kept.report["atlases"][0]["outcome"], warnings),
+        (&json!("kept_input"), vec!["kept_input".to_owned()])
+    );
+    assert!(kept.report["model"]["before"] == kept.report["model"]["after"]);
 }
 
 #[test]

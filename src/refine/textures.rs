@@ -2,20 +2,23 @@
 
 use glam::DVec2;
 use image::DynamicImage;
+use rayon::prelude::*;
 
 use super::formats::{PageKind, Plan, Upload};
 use super::group::{Group, Member};
 use super::load::Loaded;
+use super::options::Weighed;
 use crate::asset::{Document, TextureSet, is_small, mark_uniform, small_slot_warning};
 use crate::atlas::Atlas;
 use crate::context::Context;
-use crate::error::{Code, Failure, Result};
+use crate::error::{Code, Failure, Result, Warning};
+use crate::metrics::gpu_bytes;
 use crate::texture::Slot;
 use crate::texture::Texture;
 use crate::texture::{
     Alpha, Bake, Baked, Direction, FIDELITY_SAMPLES, Fidelity, Format, Header, Role, STREAMED_FROM, Source, Streamed,
-    UploadedColors, Wrap, bake, bake_jpeg, decode, encode, is_lossy, jpeg_coding, neutral, page_size, texel,
-    webp_quality, widened,
+    UploadedColors, Wrap, bake, bake_jpeg, basis_upload, decode, encode, is_lossy, jpeg_coding, neutral, page_size,
+    texel, webp_quality, widened,
 };
 
 /// Texels about each chart that are taken from the uploaded image: half of the widest gutter that charts have by default. What lies beyond
@@ -37,6 +40,8 @@ pub struct BakedSlot {
     pub fidelity: Fidelity,
     /// The same before encoding: what the layout alone cost.
     pub layout_fidelity: Fidelity,
+    /// What the user may not expect of the files.
+    pub warnings: Vec<Warning>,
 }
 
 /// An encoded image.
@@ -180,6 +185,7 @@ fn bake_slot(
             texels,
             jpeg: jpeg_coding(file),
             webp: webp_quality(file),
+            basis: basis_upload(file),
         })
     });
     let plan = Plan::new(slot, uploads.collect(), options);
@@ -220,9 +226,18 @@ fn bake_slot(
     {
         let file = |(size, bytes)| BakedFile { size, format: Format::Jpeg, bytes };
         let files: Vec<BakedFile> = streamed.files.into_iter().map(file).collect();
-        plan.warn(&kinds, files.iter().map(|f| f.bytes.len() as u64).sum(), context);
+        let warnings = plan.warnings(&kinds, bytes(&files));
         let Streamed { verbatim_texels, fidelity, layout_fidelity, .. } = streamed;
-        return Ok(BakedSlot { slot: index, files, verbatim_texels, resampled_area: 0.0, fidelity, layout_fidelity });
+        let resampled_area = 0.0;
+        return Ok(BakedSlot {
+            slot: index,
+            files,
+            verbatim_texels,
+            resampled_area,
+            fidelity,
+            layout_fidelity,
+            warnings,
+        });
     }
     let Baked { pages, verbatim_texels, resampled_area, .. } = bake(&job, context)?;
     let job = Bake { after: delivered, ..job };
@@ -234,7 +249,7 @@ fn bake_slot(
         },
         || {
             pages
-                .iter()
+                .par_iter()
                 .map(|page| {
                     let coding = plan.of(PageKind::of(page));
                     let bytes = encode(page, coding)?;
@@ -245,12 +260,31 @@ fn bake_slot(
     );
     let written = written?;
     let (uploaded, layout_fidelity) = layout?;
-    plan.warn(&kinds, written.iter().map(|f| f.bytes.len() as u64).sum(), context);
+    let warnings = plan.warnings(&kinds, bytes(&written));
     let fidelity = match as_delivered(pages, &written)? {
         Some(pages) => uploaded.against(&pages, context)?,
         None => layout_fidelity,
     };
-    Ok(BakedSlot { slot: index, files: written, verbatim_texels, resampled_area, fidelity, layout_fidelity })
+    Ok(BakedSlot { slot: index, files: written, verbatim_texels, resampled_area, fidelity, layout_fidelity, warnings })
+}
+
+fn bytes(files: &[BakedFile]) -> u64 {
+    files.iter().map(|file| file.bytes.len() as u64).sum()
+}
+
+/// Whether baked slots have more of something than the files that they were read from.
+pub(super) fn has_grown(loaded: &Loaded, group: &Group, slots: &[BakedSlot], weighed: Weighed) -> bool {
+    let weight = |[width, height]: [u32; 2], bytes: usize| match weighed {
+        Weighed::Pixels => u64::from(width) * u64::from(height),
+        Weighed::Bytes => bytes as u64,
+        Weighed::GpuBytes => gpu_bytes(width, height),
+    };
+    let before = slots.iter().flat_map(|slot| group.sources(slot.slot)).map(|(member, own)| {
+        let Header { width, height, .. } = member.set.slots[own].header;
+        weight([width, height], uploaded(loaded, member, own).map_or(0, <[u8]>::len))
+    });
+    let after = slots.iter().flat_map(|slot| &slot.files).map(|file| weight(file.size, file.bytes.len()));
+    after.sum::<u64>() > before.sum()
 }
 
 /// The pages as whoever opens their files sees them; none where these lose nothing. A page is dropped before its file is decoded.

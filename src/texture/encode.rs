@@ -2,6 +2,7 @@
 
 use image::DynamicImage;
 
+use super::basis::BasisCoding;
 use super::jpeg::JpegCoding;
 use super::pixels::Depth;
 use super::{Format, png, webp};
@@ -16,6 +17,8 @@ pub enum Coding {
     Jpeg(JpegCoding),
     /// WebP, with a quality in 0..=100, or without loss.
     Webp(Option<u8>),
+    /// KTX2 with blocks of Basis Universal.
+    Basis(BasisCoding),
 }
 
 impl Coding {
@@ -25,13 +28,14 @@ impl Coding {
             Coding::Png => Format::Png,
             Coding::Jpeg(_) => Format::Jpeg,
             Coding::Webp(_) => Format::Webp,
+            Coding::Basis(_) => Format::Ktx2,
         }
     }
 }
 
-/// Encodes an image with its own channels; PNG keeps the depth, JPEG has 8 bits, and WebP 8 bits in RGB or RGBA.
+/// Encodes an image with its own channels; PNG keeps the depth, JPEG has 8 bits, and WebP and KTX2 8 bits in RGB or RGBA.
 ///
-/// Fails with `internal` when the image is empty, has alpha for JPEG or 16 bits for WebP, or is too large for the format.
+/// Fails with `internal` when the image is empty, has alpha for JPEG or 16 bits for WebP or KTX2, or a size that the format cannot have.
 pub fn encode(image: &DynamicImage, coding: &Coding) -> Result<Vec<u8>> {
     if image.width() == 0 || image.height() == 0 {
         return Err(Failure::internal("an image to encode has no texels"));
@@ -40,6 +44,7 @@ pub fn encode(image: &DynamicImage, coding: &Coding) -> Result<Vec<u8>> {
         Coding::Png => png::encode(image),
         Coding::Jpeg(coding) => encode_jpeg(image, coding),
         Coding::Webp(quality) => webp::encode(image, *quality),
+        Coding::Basis(coding) => coding.encode(image),
     }
 }
 

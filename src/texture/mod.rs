@@ -4,6 +4,7 @@
 
 mod bake;
 mod baker;
+mod basis;
 mod bilinear_fit;
 mod coverage;
 mod decode;
@@ -23,8 +24,10 @@ mod transfer;
 mod webp;
 
 pub use bake::{Bake, Baked, Source, bake, page_size};
+pub(crate) use basis::{BLOCK as BASIS_BLOCK, LONGEST as BASIS_SIDE};
+pub use basis::{BasisCoding, BasisKind, BasisUpload, MipFilter};
+pub(crate) use decode::{basis_upload, jpeg_coding, webp_quality};
 pub use decode::{decode, header, is_lossy, probe};
-pub(crate) use decode::{jpeg_coding, webp_quality};
 pub use encode::{Coding, encode};
 pub(crate) use fidelity::mix;
 pub use fidelity::{Fidelity, SAMPLES as FIDELITY_SAMPLES, UploadedColors, fidelity};
@@ -181,7 +184,7 @@ pub enum Format {
     Jpeg,
     /// WebP.
     Webp,
-    /// KTX2; read only.
+    /// KTX2 with blocks of Basis Universal; other contents are read only.
     Ktx2,
 }
 
@@ -194,10 +197,6 @@ impl Format {
             Format::Webp => "webp",
             Format::Ktx2 => "ktx2",
         }
-    }
-    /// Whether a texture names an image of this format by an extension only.
-    pub fn needs_extension(self) -> bool {
-        self == Format::Webp
     }
     /// The format whose files have an extension, in lower case.
     pub(crate) fn of_extension(extension: &str) -> Option<Format> {

@@ -73,7 +73,7 @@ pub enum Overflow {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TextureFormat {
-    /// PNG stays PNG, JPEG stays JPEG, WebP stays WebP; KTX2 becomes PNG.
+    /// As it was uploaded; KTX2 without Basis Universal becomes PNG.
     Keep,
     /// PNG, lossless.
     Png,
@@ -81,6 +81,14 @@ pub enum TextureFormat {
     Jpeg,
     /// WebP (EXT_texture_webp); images of 16 bits become PNG.
     Webp,
+    /// KTX2 (KHR_texture_basisu): ETC1S or UASTC as it was uploaded; of other files ETC1S for colour and UASTC for the rest. Images of 16 bits become PNG.
+    Ktx2,
+    /// KTX2 with blocks of ETC1S: small; for colour.
+    #[serde(rename = "ktx2-etc1s")]
+    Ktx2Etc1s,
+    /// KTX2 with blocks of UASTC: larger, and closer to what was uploaded; for normals and data.
+    #[serde(rename = "ktx2-uastc")]
+    Ktx2Uastc,
 }
 
 /// Formats of the output textures.
@@ -113,6 +121,24 @@ impl TextureFormats {
         match self {
             TextureFormats::All(format) => matches!(format, TextureFormat::Keep | TextureFormat::Jpeg),
             TextureFormats::BySlot(_) => true,
+        }
+    }
+
+    /// Whether files that are encoded by blocks stay so, of some slots at least: what moves by whole blocks can keep them.
+    pub fn keeps_blocks(&self) -> bool {
+        match self {
+            TextureFormats::All(format) => !matches!(format, TextureFormat::Png | TextureFormat::Webp),
+            TextureFormats::BySlot(_) => true,
+        }
+    }
+
+    /// Whether some textures are to become KTX2 files that were none.
+    pub fn asks_for_ktx2(&self) -> bool {
+        let is_ktx2 =
+            |f: &TextureFormat| matches!(f, TextureFormat::Ktx2 | TextureFormat::Ktx2Etc1s | TextureFormat::Ktx2Uastc);
+        match self {
+            TextureFormats::All(format) => is_ktx2(format),
+            TextureFormats::BySlot(formats) => formats.values().any(is_ktx2),
         }
     }
 }

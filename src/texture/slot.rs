@@ -13,7 +13,7 @@ pub struct Slot {
     pub name: String,
     /// Size and format from the header.
     pub header: Header,
-    /// Side in texels of the blocks that its file is encoded by, each by itself: 8 or 16 for JPEG, else 1.
+    /// Side in texels of the blocks that its file is encoded by, each by itself: 8 or 16 for JPEG, 4 for KTX2, else 1.
     pub block: u32,
     /// Who reads it with which wrap modes; together all of `primitives`, each once.
     pub readings: Vec<Reading>,

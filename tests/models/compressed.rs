@@ -2,8 +2,10 @@
 
 use intarsia::asset::{ARRAY_BUFFER, Document, File, Limits, RawAccessor, load, read_indices, read_vec2, read_vec3};
 use intarsia::context::Context;
-use intarsia::refine::options::Options;
+use intarsia::refine::options::{IfLarger, Options};
 use intarsia::refine::{Input, Outcome, refine};
+use intarsia::texture::TextureFormat;
+use sha2::{Digest, Sha256};
 
 use super::{data, geometry, node};
 
@@ -164,4 +166,96 @@ fn quantised_attributes_stay_quantised() {
         assert_eq!(refined.json["accessors"][accessor as usize]["componentType"], component, "{attribute}");
     }
     same_surfaces(&refined, &doc, 0.0);
+}
+
+/// The images of a GLB.
+fn images(glb: &[u8]) -> Vec<Vec<u8>> {
+    let model = gltf::Gltf::from_slice_without_validation(glb).expect("a GLB");
+    let blob = model.blob.as_deref().unwrap_or_default();
+    let json: serde_json::Value =
+        serde_json::from_slice(&gltf::binary::Glb::from_slice(glb).expect("a GLB").json).expect("JSON");
+    let number = |value: &serde_json::Value| value.as_u64().unwrap_or(0) as usize;
+    let view = |image: &serde_json::Value| {
+        let view = &json["bufferViews"][number(&image["bufferView"])];
+        let start = number(&view["byteOffset"]);
+        blob[start..start + number(&view["byteLength"])].to_vec()
+    };
+    json["images"].as_array().into_iter().flatten().map(view).collect()
+}
+
+/// Reads the KTX2 files of a delivered model by Binomial's transcoder, which shows what ours shows; gives whether they are UASTC, and levels.
+fn read_basis(name: &str, glb: &[u8]) -> Vec<(bool, u64)> {
+    let images = images(glb);
+    let mut told = Vec::new();
+    for (i, image) in images.iter().enumerate().filter(|(_, image)| image.starts_with(b"\xabKTX 20")) {
+        let file =
+            std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{}.{i}.ktx2", name.replace('/', "_")));
+        std::fs::write(&file, image).expect("a file");
+        let Some(read) = node::basis(&file) else { continue };
+        assert_eq!(read["broken"], serde_json::Value::Null, "{name}: {read}");
+        let shown = intarsia::texture::decode(image, 1 << 26).expect("an image").to_rgba8();
+        assert_eq!(
+            (read["width"].as_u64(), read["height"].as_u64()),
+            (Some(shown.width().into()), Some(shown.height().into()))
+        );
+        let hash: String = Sha256::digest(shown.as_raw()).iter().map(|byte| format!("{byte:02x}")).collect();
+        assert_eq!(read["sha256"], hash, "{name}: Binomial's transcoder shows something else");
+        told.push((read["uastc"] == true, read["levels"].as_u64().unwrap_or(0)));
+    }
+    told
+}
+
+#[test]
+fn ktx2_leaves_as_ktx2() {
+    for (name, files) in data::models(&["scans/loaders_agi_ktx2.glb"]) {
+        let original = open(&files).0.to_glb().expect("a GLB");
+        let [before] = &images(&original)[..] else { panic!("{name} has one image") };
+        let outcome = pack(files);
+        let model = &outcome.artifacts.iter().find(|a| a.role == "model").expect("a model").bytes;
+        let [after] = &images(model)[..] else { panic!("{name} has one image") };
+        let size = |file: &[u8]| {
+            intarsia::texture::header(file).map(|h| f64::from(h.width) * f64::from(h.height)).expect("a header")
+        };
+        let (was, is) = (before.len() as f64 / size(before), after.len() as f64 / size(after));
+        println!("{name}: {} bytes, {} before: {:.3} of its bytes a texel", after.len(), before.len(), is / was);
+        assert!(is < 1.1 * was, "{name}: {is} bytes a texel, {was} before");
+        for (uastc, levels) in read_basis(name, model) {
+            assert!(!uastc && levels > 1, "{name}");
+        }
+        assert!(
+            outcome.report["textures"][0]["psnr_db"].as_f64().is_some_and(|db| db > 40.0),
+            "{:#}",
+            outcome.report["textures"]
+        );
+    }
+}
+
+#[test]
+fn others_become_ktx2_where_that_is_asked_for() {
+    let glb = intarsia::asset::sample::sample("textured").expect("a sample");
+    let files = vec![File { path: "sample.glb".to_owned(), bytes: glb }];
+    for (format, uastc) in
+        [(TextureFormat::Ktx2Etc1s, Some(false)), (TextureFormat::Ktx2Uastc, Some(true)), (TextureFormat::Ktx2, None)]
+    {
+        let mut options = Options::default();
+        options.texture.format = format.into();
+        options.atlas.if_larger = IfLarger::Accept;
+        let input = Input { models: vec![files.clone()], ..Input::default() };
+        let outcome = refine(&input, &options, &Context::silent()).expect("the model is refined");
+        let model = &outcome.artifacts.iter().find(|a| a.role == "model").expect("a model").bytes;
+        assert!(String::from_utf8_lossy(model).contains("KHR_texture_basisu"));
+        let told = read_basis(&format!("sample-{uastc:?}"), model);
+        assert!(told.iter().all(|(is, levels)| uastc.is_none_or(|wanted| *is == wanted) && *levels > 1), "{told:?}");
+        let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("sample-{uastc:?}.ktx2.glb"));
+        std::fs::write(&file, model).expect("a file");
+        let Some(((errors, transform), three)) =
+            node::errors(&file).zip(node::transform(&file)).zip(node::three(&file))
+        else {
+            continue;
+        };
+        assert!(errors.is_empty(), "the validator finds {errors:?}");
+        for read in [transform, three] {
+            assert_eq!(read["broken"], serde_json::json!([]), "{read}");
+        }
+    }
 }

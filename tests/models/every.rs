@@ -110,10 +110,8 @@ pub(super) fn whole(name: &str, path: &Path, original: &[u8], outcome: &Outcome)
     let Some((before, transform)) = node::transform(path).zip(node::transform(&after)) else { return };
     let three = node::three(&after).expect("three.js beside glTF Transform");
     let clones = list(&outcome.report["atlases"]).iter().any(|a| a["pages"].as_u64().is_some_and(|p| p > 1));
-    // Without its decoder of Basis textures three.js reads no model that keeps some.
-    let basis = list(&three["broken"]).iter().any(|b| b.as_str().is_some_and(|b| b.contains("setKTX2Loader")));
     let readers = [("glTF Transform", &transform), ("three.js", &three)];
-    for (reader, now) in readers.into_iter().take(if basis { 1 } else { 2 }) {
+    for (reader, now) in readers {
         // Of several files that are missing any may be named, with its folder or without.
         let named = |b: &Value| {
             let b = b.as_str()?;
@@ -135,9 +133,6 @@ pub(super) fn whole(name: &str, path: &Path, original: &[u8], outcome: &Outcome)
         assert!(equal || clones, "{name}: {reader} draws {} meshes, of {}", now["drawn"], before["drawn"]);
     }
     assert_eq!(transform["channels"], before["channels"], "{name}: animations lost channels");
-    if basis {
-        return;
-    }
     let materials = |of: &Value| of["materials"].as_u64();
     assert!(materials(&transform) == materials(&before) || clones, "{name}: materials went or came");
     assert!(list(&three["complaints"]).is_empty() || !list(&before["broken"]).is_empty(), "{name}: {three}");

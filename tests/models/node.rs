@@ -8,7 +8,8 @@ use std::sync::OnceLock;
 
 use serde_json::Value;
 
-const FILES: [&str; 5] = ["package.json", "package-lock.json", "validate.cjs", "three.mjs", "transform.mjs"];
+const FILES: [&str; 6] =
+    ["package.json", "package-lock.json", "validate.cjs", "three.mjs", "transform.mjs", "basis.mjs"];
 
 /// The folder with the programs, installed on first use; `None`, aloud, where there is no npm.
 fn folder() -> Option<&'static Path> {
@@ -72,4 +73,9 @@ pub fn three(file: &Path) -> Option<Value> {
 /// What glTF Transform makes of a file.
 pub fn transform(file: &Path) -> Option<Value> {
     run("transform.mjs", file)
+}
+
+/// What Binomial's transcoder shows of a KTX2 file.
+pub fn basis(file: &Path) -> Option<Value> {
+    run("basis.mjs", file)
 }

@@ -2,6 +2,7 @@
 import fs from 'node:fs';
 import path from 'node:path';
 import { MeshoptDecoder } from 'meshoptimizer';
+import { read } from './basis.mjs';
 
 // What the loader expects of a browser. Images are not decoded: their headers must be those of an image.
 globalThis.self = globalThis;
@@ -22,8 +23,19 @@ globalThis.fetch = async (request, options) => {
 };
 
 // Loaded after the stubs: the loader looks at its surroundings once.
-const { Box3 } = await import('three');
+const { Box3, Loader, Texture } = await import('three');
 const { GLTFLoader } = await import('three/addons/loaders/GLTFLoader.js');
+
+// Three's own loader hands the same transcoder to a worker, and its textures to a graphics card.
+class BasisLoader extends Loader {
+  load(url, onLoad, onProgress, onError) {
+    const texture = async () => {
+      const { width, height } = await read(await (await fetch(url)).arrayBuffer());
+      return new Texture({ width, height });
+    };
+    texture().then(onLoad, onError);
+  }
+}
 
 const SLOTS = (material) => Object.keys(material).filter((key) => /[mM]ap$/.test(key) && material[key] !== null);
 
@@ -31,7 +43,7 @@ async function summary(file) {
   folder = path.dirname(file);
   const complaints = [];
   for (const level of ['warn', 'error']) console[level] = (...words) => complaints.push(words.join(' '));
-  const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder).setPath(HOST);
+  const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder).setKTX2Loader(new BasisLoader()).setPath(HOST);
   const bytes = fs.readFileSync(file);
   const gltf = await loader.parseAsync(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength), HOST);
   const result = { drawn: 0, triangles: 0, morphs: 0, skinned: 0, bones: 0, textures: 0, broken: [] };

@@ -37,6 +37,8 @@ pub struct Demand {
     pub unwraps: bool,
     /// Whether charts only move, by whole texels, and the format of their images stays: no page of a JPEG is held then.
     pub copies: bool,
+    /// Whether some images become KTX2 files.
+    pub ktx2: bool,
 }
 
 /// Estimates what a refinement of `model` (its name, and where it is on the disk), with the `files` that it may name, will hold in

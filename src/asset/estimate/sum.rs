@@ -23,6 +23,8 @@ const BARE_TRIANGLE: f64 = 400.0;
 const PYRAMID: f64 = 4.0 * BLOCKS;
 /// Blocks of all levels, by texel.
 const BLOCKS: f64 = 4.0 / 3.0 / 64.0;
+/// Bytes of a texel that encoding a KTX2 file takes: all levels as RGBA and as blocks, what each may become, and the blocks of the upload.
+const KTX2: f64 = 20.0;
 /// Symbols that a JPEG is encoded to before their bits are known, by byte of the file.
 const SYMBOLS: f64 = 3.0;
 /// Of a triangle that is cut and flattened: the piece that it is in, its elements and factors, the void about it, the best map so far.
@@ -139,7 +141,7 @@ impl Sum {
 
     /// What baking one image takes: the image, its page, and the larger of what baking and what encoding hold beside: a byte of state for each
     /// texel, the pyramid that fills the page (of floats and a weight), and the bands of the threads; symbols of a JPEG, or the page once more,
-    /// filtered for a PNG.
+    /// filtered for a PNG; blocks and what they may become for a KTX2.
     fn baking(&self, (header, length): (Header, u64), page: f64, threads: usize, demand: Demand) -> f64 {
         let (count, channels) = (texels(header), f64::from(header.channels));
         let page = page * count as f64;
@@ -148,6 +150,8 @@ impl Sum {
         let filling = 1.0 + PYRAMID * (channels + 1.0);
         let symbols = SYMBOLS * length as f64;
         let encoding = match header.format {
+            _ if demand.ktx2 => KTX2,
+            Format::Ktx2 => KTX2,
             Format::Jpeg => symbols / count.max(1) as f64,
             // Samples of 16 bits are turned round first.
             _ => texel_bytes(header) * f64::from(header.depth / 8),

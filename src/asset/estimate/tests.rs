@@ -13,7 +13,7 @@ use super::*;
 use crate::texture::{Format, Header, decode};
 
 /// What `pack` does.
-const PACKS: Demand = Demand { bakes: true, unwraps: false, copies: false };
+const PACKS: Demand = Demand { bakes: true, unwraps: false, copies: false, ktx2: false };
 
 /// Stores files under numbers, as uploads are, and estimates the first with the others.
 fn of(files: &[(&str, &[u8])], limits: &Limits) -> Result<Estimate> {
@@ -259,7 +259,7 @@ fn what_the_recipe_does_counts() {
         estimate(("m.gltf", &at), &[("a.png", &beside)], &Limits::default(), 2, demand).unwrap().bytes
     };
     let (plain, bare) = (json!({ "POSITION": 0, "TEXCOORD_0": 0 }), json!({ "POSITION": 0 }));
-    let demand = |bakes, unwraps| Demand { bakes, unwraps, copies: false };
+    let demand = |bakes, unwraps| Demand { bakes, unwraps, copies: false, ktx2: false };
     let texels = 3 * 8192 * 8192;
     // Cutting and flattening takes some thousand bytes of each triangle, with a layout or without.
     assert!(of(bare.clone(), demand(false, true)) > of(bare, demand(false, false)) + 3_000 * 100_000);

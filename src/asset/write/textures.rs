@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::{Map, Value, json};
 
 use super::{BakedImage, Refined};
-use crate::asset::extensions::{self, TEXTURE_TRANSFORM, TEXTURE_WEBP, is_image_source};
+use crate::asset::extensions::{self, TEXTURE_TRANSFORM, is_image_source};
 use crate::asset::json::object_mut;
 use crate::asset::material_index::{MaterialIndex, TextureUse};
 use crate::asset::sets::class;
@@ -296,10 +296,10 @@ fn place(out: &mut Document, index: usize, baked: &BakedImage, in_place: bool) -
 /// Gives a texture its image: as its core source, or where the format needs it by extension.
 fn set_source(texture: &mut Map<String, Value>, image: usize, format: Option<Format>) {
     extensions::retain(texture, |name| !is_image_source(name));
-    if format.is_some_and(Format::needs_extension) {
+    if let Some(name) = format.and_then(extensions::image_source) {
         texture.shift_remove("source");
         let extensions = texture.entry("extensions").or_insert_with(|| json!({}));
-        extensions[TEXTURE_WEBP] = json!({ "source": image });
+        extensions[name] = json!({ "source": image });
     } else {
         texture.insert("source".to_owned(), Value::from(image));
     }

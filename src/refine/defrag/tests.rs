@@ -48,6 +48,7 @@ fn sheet_info() -> SheetInfo {
         reference: [2048, 2048],
         unit: 1,
         block: 1,
+        basis: false,
         mipmaps: false,
         is_virtual: false,
         along_edges: false,

@@ -9,7 +9,7 @@ use image::DynamicImage;
 use super::{check_sides, check_size, invalid};
 use crate::error::{Failure, Result};
 use crate::texture::pixels::{Depth, from_samples};
-use crate::texture::{Format, Header};
+use crate::texture::{BasisUpload, Format, Header};
 
 /// First bytes of every KTX2 file.
 pub(super) const IDENTIFIER: [u8; 12] = [0xab, b'K', b'T', b'X', b' ', b'2', b'0', 0xbb, 0x0d, 0x0a, 0x1a, 0x0a];
@@ -56,6 +56,18 @@ pub(super) fn header(bytes: &[u8]) -> Result<Header> {
 
 pub(super) fn is_lossy(bytes: &[u8]) -> bool {
     container(bytes).is_ok_and(|c| c.texels == Texels::Basis)
+}
+
+/// What a file with blocks of Basis Universal takes with it; none for others, and where it cannot be read.
+pub(super) fn upload(bytes: &[u8]) -> Option<BasisUpload> {
+    let file = container(bytes).ok().filter(|c| c.texels == Texels::Basis)?;
+    let levels = word(bytes, 40)?;
+    if file.compression == Compression::BasisLz {
+        return BasisUpload::etc1s(bytes, levels, file.header.channels == 4);
+    }
+    let Header { width, height, .. } = file.header;
+    let blocks = file.plain(16 * width.div_ceil(4) as usize * height.div_ceil(4) as usize).ok()?;
+    BasisUpload::uastc(bytes, levels, blocks)
 }
 
 pub(super) fn decode(bytes: &[u8], max_pixels: u64) -> Result<DynamicImage> {
@@ -112,7 +124,7 @@ impl Container<'_> {
         if self.compression == Compression::None {
             return self.level.get(..size).map(<[u8]>::to_vec).ok_or_else(short);
         }
-        let mut stream = ruzstd::StreamingDecoder::new(self.level).map_err(invalid)?;
+        let mut stream = ruzstd::decoding::StreamingDecoder::new(self.level).map_err(invalid)?;
         // Not more at once than the stream really gives.
         let mut data = Vec::new();
         stream.by_ref().take(size as u64).read_to_end(&mut data).map_err(invalid)?;

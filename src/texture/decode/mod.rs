@@ -18,7 +18,7 @@ use std::panic::{UnwindSafe, catch_unwind};
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-use super::{Format, Header};
+use super::{BasisUpload, Format, Header};
 use crate::error::{Code, Failure, Result};
 
 /// Longest side that a header may declare, in texels.
@@ -96,6 +96,12 @@ pub fn is_lossy(bytes: &[u8]) -> bool {
         Ok(Format::Ktx2) => ktx2::is_lossy(bytes),
         Ok(Format::Png) | Err(_) => false,
     }
+}
+
+/// What a KTX2 file with blocks of Basis Universal takes with it; none for other files.
+pub(crate) fn basis_upload(bytes: &[u8]) -> Option<BasisUpload> {
+    let is_ktx2 = format(bytes).is_ok_and(|f| f == Format::Ktx2);
+    is_ktx2.then(|| guarded(|| Ok(ktx2::upload(bytes))).ok().flatten()).flatten()
 }
 
 fn invalid(what: impl std::fmt::Display) -> Failure {

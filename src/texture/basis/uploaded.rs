@@ -1,0 +1,141 @@
+//! What is taken over from an uploaded KTX2 file: its kind, and its blocks as they are, so that those which are only moved lose nothing.
+
+use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
+
+use basisu::{DecodeFlags, TargetFormat, Transcoder};
+
+use super::BasisKind;
+use super::block::{Endpoint, Pattern, of_etc1};
+use super::{block, uastc};
+
+/// Blocks that a file has.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Uploaded {
+    /// Of all levels, as ETC1 has them: colour, and alpha, which is what green shows.
+    Etc1s([Vec<[u8; 8]>; 2]),
+    /// Of the first level, and what they show.
+    Uastc { blocks: Vec<[u8; 16]>, texels: Vec<uastc::Texels> },
+}
+
+impl Uploaded {
+    /// Those of an ETC1S file; none where it cannot be read.
+    pub(super) fn etc1s(file: &[u8], levels: u32, alpha: bool) -> Option<Self> {
+        let transcoder = Transcoder::new(file).ok()?;
+        let mut blocks = [Vec::new(), Vec::new()];
+        let slices = [DecodeFlags::NONE, DecodeFlags::TRANSCODE_ALPHA_TO_OPAQUE];
+        for level in 0..levels.max(1) {
+            for (blocks, flags) in blocks.iter_mut().zip(slices).take(1 + usize::from(alpha)) {
+                let bytes = transcoder.transcode(level, TargetFormat::Etc1Rgb, flags).ok()?;
+                blocks.extend(bytes.as_chunks::<8>().0);
+            }
+        }
+        Some(Uploaded::Etc1s(blocks))
+    }
+
+    /// Those of a UASTC file, whose first level has these blocks; without those that reach beyond it.
+    pub(super) fn uastc(file: &[u8], blocks: Vec<u8>) -> Option<Self> {
+        let transcoder = Transcoder::new(file).ok()?;
+        let shown = transcoder.transcode(0, TargetFormat::Rgba32, DecodeFlags::NONE).ok()?;
+        let shown = shown.as_chunks::<4>().0;
+        let (wide, high) = transcoder.base_dimensions();
+        let [wide, high] = [wide as usize, high as usize];
+        let in_a_row = wide.div_ceil(4);
+        let (mut kept, mut texels) = (Vec::new(), Vec::new());
+        for (i, block) in blocks.as_chunks::<16>().0.iter().enumerate() {
+            let (x, y) = (4 * (i % in_a_row), 4 * (i / in_a_row));
+            if x + 4 <= wide && y + 4 <= high {
+                kept.push(*block);
+                texels.push(std::array::from_fn(|k| shown[(y + k / 4) * wide + x + k % 4]));
+            }
+        }
+        Some(Uploaded::Uastc { blocks: kept, texels })
+    }
+
+    pub(super) fn kind(&self) -> BasisKind {
+        match self {
+            Uploaded::Etc1s(_) => BasisKind::Etc1s,
+            Uploaded::Uastc { .. } => BasisKind::Uastc,
+        }
+    }
+
+    /// Blocks of an ETC1S file: colour or alpha.
+    fn pairs(&self, alpha: bool) -> &[[u8; 8]] {
+        match self {
+            Uploaded::Etc1s(blocks) => &blocks[usize::from(alpha)],
+            Uploaded::Uastc { .. } => &[],
+        }
+    }
+
+    /// Different endpoints and patterns of an ETC1S file, and blocks.
+    pub(super) fn counts(&self) -> [usize; 3] {
+        let distinct = |mut all: Vec<u32>| {
+            all.sort_unstable();
+            all.dedup();
+            all.len()
+        };
+        let pairs = || self.pairs(false).iter().chain(self.pairs(true)).map(|b| of_etc1(*b));
+        let endpoint = |e: Endpoint| u32::from_le_bytes([e.colour[0], e.colour[1], e.colour[2], e.table]);
+        let endpoints = distinct(pairs().map(|(e, _)| endpoint(e)).collect());
+        [endpoints, distinct(pairs().map(|(_, p)| p).collect()), pairs().count()]
+    }
+}
+
+/// Blocks of files by what they show.
+pub(super) struct KnownBlocks<'a> {
+    uploads: &'a [&'a Uploaded],
+    /// By hash of the texels: file and block.
+    at: HashMap<u64, (u32, u32)>,
+}
+
+impl<'a> KnownBlocks<'a> {
+    pub(super) fn new(uploads: &'a [&'a Uploaded]) -> Self {
+        let mut at = HashMap::new();
+        for (file, upload) in uploads.iter().enumerate() {
+            let mut add = |i: usize, hash: u64| {
+                at.entry(hash).or_insert((file as u32, i as u32));
+            };
+            match upload {
+                Uploaded::Etc1s(blocks) => {
+                    for (is_alpha, blocks) in [false, true].into_iter().zip(blocks) {
+                        for (i, block) in blocks.iter().enumerate() {
+                            add(i, hash(&(is_alpha, shown(of_etc1(*block), is_alpha))));
+                        }
+                    }
+                }
+                Uploaded::Uastc { texels, .. } => {
+                    texels.iter().enumerate().for_each(|(i, texels)| add(i, hash(texels)))
+                }
+            }
+        }
+        KnownBlocks { uploads, at }
+    }
+
+    /// What shows exactly these texels in ETC1S, as colour or as alpha.
+    pub(super) fn pair(&self, texels: &block::Texels, alpha: bool) -> Option<(Endpoint, Pattern)> {
+        let (file, block) = *self.at.get(&hash(&(alpha, *texels)))?;
+        let pair = of_etc1(*self.uploads[file as usize].pairs(alpha).get(block as usize)?);
+        (shown(pair, alpha) == *texels).then_some(pair)
+    }
+
+    /// What shows exactly these texels in UASTC.
+    pub(super) fn block(&self, wanted: &uastc::Texels) -> Option<[u8; 16]> {
+        let (file, block) = *self.at.get(&hash(wanted))?;
+        match self.uploads[file as usize] {
+            Uploaded::Uastc { blocks, texels } if texels[block as usize] == *wanted => Some(blocks[block as usize]),
+            _ => None,
+        }
+    }
+}
+
+/// What a block shows: of alpha what green says.
+fn shown((endpoint, pattern): (Endpoint, Pattern), alpha: bool) -> block::Texels {
+    let texels = endpoint.texels(pattern);
+    if alpha { texels.map(|[_, green, _]| [green; 3]) } else { texels }
+}
+
+fn hash<T: Hash>(texels: &T) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    texels.hash(&mut hasher);
+    hasher.finish()
+}
