@@ -121,6 +121,12 @@ impl<'a> Plan<'a> {
         if self.obstacle(page).is_some() { &Coding::Png } else { &self.wanted }
     }
 
+    /// Texels about each chart that are taken from the uploaded image: those of its blocks, where these can be kept as they are, and the inner half
+    /// of the widest gutter that charts have by default elsewhere. What lies beyond is filled with means, which cost less in a file.
+    pub(super) fn bleed(&self) -> u32 {
+        if matches!(self.wanted, Coding::Basis(_)) { BASIS_BLOCK + 1 } else { 2 }
+    }
+
     /// How all pages are encoded, if they are JPEG files.
     pub(super) fn jpeg(&self, pages: &[PageKind]) -> Option<&JpegCoding> {
         match &self.wanted {

@@ -18,8 +18,9 @@ use crate::texture::{BASIS_BLOCK, Overflow, Size};
 
 /// Quarter-turned charts of mipmapped textures keep to multiples of this many texels, so that mip levels 1 and 2 stay as they were.
 const MIP_LATTICE: u32 = 4;
-/// Of the charts' area, what may be spent to keep the blocks of JPEG files whole.
+/// Of the charts' area, what may be spent to keep the blocks of JPEG files whole, and those of KTX2 files, which lose more.
 const BLOCKS_COST: f64 = 0.02;
+const KTX2_BLOCKS_COST: f64 = 0.1;
 
 impl Stage for Pack {
     const NAME: &'static str = "pack";
@@ -150,9 +151,10 @@ fn grid(sheet_info: &SheetInfo, options: &Options, pieces: &[Piece]) -> u32 {
         around += extent.element_sum();
         longest = longest.max(extent.max_element());
     }
+    let cost = if sheet_info.block == BASIS_BLOCK { KTX2_BLOCKS_COST } else { BLOCKS_COST };
     let cheap = |n: u32| {
         let step = f64::from(n - fine) * unit;
-        n > fine && around * step / 2.0 <= BLOCKS_COST * area && longest + 4.0 * f64::from(n) * unit <= max
+        n > fine && around * step / 2.0 <= cost * area && longest + 4.0 * f64::from(n) * unit <= max
     };
     [sheet_info.block, sheet_info.block / 2]
         .into_iter()

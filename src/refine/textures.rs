@@ -21,10 +21,6 @@ use crate::texture::{
     texel, webp_quality, widened,
 };
 
-/// Texels about each chart that are taken from the uploaded image: half of the widest gutter that charts have by default. What lies beyond
-/// is filled with means, which cost less in a file.
-const BLEED: u32 = 2;
-
 /// One baked slot: a file for each sheet, and what it cost.
 #[derive(Debug, Clone)]
 pub struct BakedSlot {
@@ -216,7 +212,7 @@ fn bake_slot(
             neutral: true,
         });
     }
-    let job = Bake { before: &set.atlas, after, reference: set.reference, slot, sources, bleed: BLEED };
+    let job = Bake { before: &set.atlas, after, reference: set.reference, slot, sources, bleed: plan.bleed() };
     let kind = |page: usize| PageKind { colour: job.sources[0].image.color(), size: page_size(&job, page) };
     let kinds: Vec<PageKind> = (0..after.sheets.len()).map(kind).collect();
     let texels: u64 = kinds.iter().map(|kind| u64::from(kind.size[0]) * u64::from(kind.size[1])).sum();

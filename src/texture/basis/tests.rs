@@ -65,7 +65,10 @@ fn what_only_moved_by_blocks_loses_nothing() {
         let shown = decode(&first, 1 << 20).unwrap();
         let mut moved = shown.clone();
         image::imageops::replace(&mut moved, &shown.crop_imm(0, 0, 128, 128), 128, 0);
-        image::imageops::replace(&mut moved, &shown.crop_imm(128, 0, 128, 128), 0, 0);
+        let other = shown.crop_imm(128, 0, 128, 128);
+        // Blocks of ETC1S can be turned.
+        let other = if kind == BasisKind::Etc1s { other.rotate90() } else { other };
+        image::imageops::replace(&mut moved, &other, 0, 0);
         let upload = crate::texture::basis_upload(&first).unwrap();
         let coding = BasisCoding::of(&[&upload], None, PLAIN, false);
         let second = encode(&moved, &Coding::Basis(coding)).unwrap();

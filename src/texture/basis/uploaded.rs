@@ -6,7 +6,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use basisu::{DecodeFlags, TargetFormat, Transcoder};
 
 use super::BasisKind;
-use super::block::{Endpoint, Pattern, of_etc1};
+use super::block::{Endpoint, Pattern, of_etc1, selector};
 use super::{block, uastc};
 
 /// Blocks that a file has.
@@ -81,6 +81,18 @@ impl Uploaded {
     }
 }
 
+/// Where texel i of a block comes from in the eight ways in which a square can be laid on itself; first as it is.
+const SYMMETRIES: [fn(usize) -> usize; 8] = [
+    |i| i,
+    |i| 4 * (3 - i % 4) + i / 4,
+    |i| 15 - i,
+    |i| 4 * (i % 4) + 3 - i / 4,
+    |i| 4 * (i / 4) + 3 - i % 4,
+    |i| 4 * (3 - i / 4) + i % 4,
+    |i| 4 * (i % 4) + i / 4,
+    |i| 4 * (3 - i % 4) + 3 - i / 4,
+];
+
 /// Blocks of files by what they show.
 pub(super) struct KnownBlocks<'a> {
     uploads: &'a [&'a Uploaded],
@@ -111,11 +123,15 @@ impl<'a> KnownBlocks<'a> {
         KnownBlocks { uploads, at }
     }
 
-    /// What shows exactly these texels in ETC1S, as colour or as alpha.
+    /// What shows exactly these texels in ETC1S, as colour or as alpha; a block of the upload may be turned or mirrored for it.
     pub(super) fn pair(&self, texels: &block::Texels, alpha: bool) -> Option<(Endpoint, Pattern)> {
-        let (file, block) = *self.at.get(&hash(&(alpha, *texels)))?;
-        let pair = of_etc1(*self.uploads[file as usize].pairs(alpha).get(block as usize)?);
-        (shown(pair, alpha) == *texels).then_some(pair)
+        SYMMETRIES.iter().find_map(|symmetry| {
+            let seen: block::Texels = std::array::from_fn(|i| texels[symmetry(i)]);
+            let (file, block) = *self.at.get(&hash(&(alpha, seen)))?;
+            let (endpoint, stored) = of_etc1(*self.uploads[file as usize].pairs(alpha).get(block as usize)?);
+            let pattern = (0..16).map(|i| (selector(stored, i) as u32) << (2 * symmetry(i))).sum();
+            (shown((endpoint, pattern), alpha) == *texels).then_some((endpoint, pattern))
+        })
     }
 
     /// What shows exactly these texels in UASTC.
