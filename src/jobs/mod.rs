@@ -8,6 +8,7 @@ pub mod backup;
 pub mod files;
 mod health;
 pub mod hub;
+pub mod keys;
 mod maintenance;
 pub mod queue;
 pub mod record;
@@ -16,6 +17,7 @@ mod storage;
 mod stored_options;
 mod system;
 pub mod telemetry;
+pub mod webhooks;
 mod worker;
 
 use std::path::Path;
@@ -27,16 +29,18 @@ use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 use self::telemetry::Telemetry;
-use crate::config::{Limits, Storage, Work};
+use crate::config::{Limits, Storage, Webhooks, Work};
 use crate::error::{Code, Failure, Result};
 pub use apart::attempt;
 use files::Files;
 use health::Health;
 use hub::Hub;
+use keys::KeyStore;
 use queue::sqlite::Sqlite;
 use queue::{CancelReply, NewJob, Queue, Submitted};
 use record::{ArtifactEntry, Job, JobState};
 use slots::{SMALL, Slots};
+use webhooks::Deliverer;
 
 /// How often a job that this process does not run is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
@@ -44,7 +48,11 @@ const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// The jobs of a service.
 pub struct Jobs {
     /// The durable queue.
-    pub queue: Box<dyn Queue>,
+    pub queue: Arc<dyn Queue>,
+    /// The API keys.
+    pub keys: Arc<dyn KeyStore>,
+    /// Who is told of jobs that have ended.
+    pub webhooks: Arc<Deliverer>,
     /// The data folder.
     pub files: Files,
     /// What is known between two writes.
@@ -72,8 +80,15 @@ impl Jobs {
     /// Opens the data folder and takes back what dead processes left running.
     ///
     /// # Errors
-    /// `insufficient_storage`, `unavailable`: the disk or the queue's file; `internal`: threads that cannot be had.
-    pub async fn open(data: &Path, work: &Work, limits: Limits, storage: &Storage) -> Result<Arc<Self>> {
+    /// `insufficient_storage`, `unavailable`: the disk or the queue's file; `internal`: threads that cannot be had; `invalid_options`: a
+    /// secret of webhooks that is none.
+    pub async fn open(
+        data: &Path,
+        work: &Work,
+        limits: Limits,
+        storage: &Storage,
+        webhooks: &Webhooks,
+    ) -> Result<Arc<Self>> {
         let files = Files::open(data)?;
         let fresh = !files.queue().exists();
         let queue = Sqlite::open(&files.queue()).await?;
@@ -81,8 +96,11 @@ impl Jobs {
         let owned = files.own(&identity, fresh, storage.adopt_store)?;
         tracing::info!(store = identity, "the job queue is open");
         let slots = Slots::new(usize::from(work.jobs), work.threads, work.memory())?;
+        let queue = Arc::new(if slots.count() > 1 { queue.with_small(SMALL) } else { queue });
         let jobs = Jobs {
-            queue: Box::new(if slots.count() > 1 { queue.with_small(SMALL) } else { queue }),
+            queue: queue.clone(),
+            keys: queue.clone(),
+            webhooks: Arc::new(Deliverer::new(queue, webhooks)?),
             files,
             hub: Hub::default(),
             limits,
@@ -110,7 +128,7 @@ impl Jobs {
     /// is not stored again: the one of the key is given, and true.
     ///
     /// # Errors
-    /// `queue_full`, `idempotency_mismatch`, `internal`; then the upload is removed.
+    /// `queue_full`, `quota_exceeded`, `idempotency_mismatch`, `internal`; then the upload is removed.
     pub async fn submit(&self, job: &NewJob) -> Result<(Job, bool)> {
         let id = &job.id;
         let stored = async {
@@ -123,7 +141,8 @@ impl Jobs {
         };
         match stored.await {
             Ok(Submitted::New) => {
-                tracing::info!(job = %id, request = job.request, memory = job.memory, "job is queued");
+                let tenant = Some(&job.tenant).filter(|tenant| !tenant.is_empty());
+                tracing::info!(job = %id, tenant, request = job.request, memory = job.memory, "job is queued");
                 self.wake.notify_one();
                 Ok((self.get(id).await?, false))
             }
@@ -257,6 +276,7 @@ impl Jobs {
     }
 }
 
-fn unknown(id: &str) -> Failure {
+/// What is answered where there is no such job, or none that the caller may know of.
+pub fn unknown(id: &str) -> Failure {
     Failure::new(Code::NotFound, format!("there is no job `{}`", id.chars().take(64).collect::<String>()))
 }

@@ -53,6 +53,9 @@ pub struct Options {
     pub strict: Vec<String>,
     /// Path of the model to take, where an archive holds several; null takes the only one.
     pub model: Option<String>,
+    /// URL that is told when the job has ended (Standard Webhooks); null tells nobody. Of a service only.
+    #[schema(max_length = 2048)]
+    pub webhook: Option<String>,
     /// Seed of every random choice.
     pub seed: u64,
     /// Limit on the work of searches, in units of work (reproducible); null is the stages' own.
