@@ -17,6 +17,7 @@ use super::problem::{HandlerResult, Problem};
 use super::upload::{self, Received, Submission, Validation};
 use crate::config::Auth;
 use crate::error::{Code, Failure};
+use crate::jobs::Taken;
 use crate::jobs::queue::Listing;
 use crate::jobs::record::{Job, JobState};
 
@@ -43,7 +44,8 @@ fn retry_after(app: &App, job: &Job) -> HeaderValue {
         (serde_json::Map<String, serde_json::Value> = "model/gltf+json", example = json!({"asset": {"version": "2.0"}})))),
     responses(
         (status = 200, description = "Waited for: the job is final. With `validate_only`: what the job would be", body = SubmitAnswer,
-            headers(("Location" = String, description = "The job"), ("Preference-Applied" = String, description = "The wait")), example = json!(examples::job())),
+            headers(("Location" = String, description = "The job"), ("Preference-Applied" = String, description = "The wait"),
+                ("Result-Reused" = Option<String>, description = "`true`: the job has the result of an equal one (`reuse`)")), example = json!(examples::job())),
         (status = 202, description = "Stored", body = Job,
             headers(("Location" = String, description = "The job"), ("Retry-After" = u32, description = "Seconds"),
                 ("Preference-Applied" = Option<String>, description = "The wait that was not long enough"),
@@ -66,8 +68,8 @@ pub(super) async fn submit(State(app): State<App>, request: Request) -> HandlerR
         Code::QueueFull | Code::QuotaExceeded => Problem { retry_after: Some(app.jobs.seconds_until(1)), ..problem },
         _ => problem,
     })?;
-    let (mut job, known) = match received {
-        Received::Job(job, known) => (*job, known),
+    let (mut job, taken) = match received {
+        Received::Job(job, taken) => (*job, taken),
         Received::Valid(validation) => return Ok(Json(validation).into_response()),
     };
     if let Some(wait) = wait {
@@ -75,7 +77,7 @@ pub(super) async fn submit(State(app): State<App>, request: Request) -> HandlerR
     }
     let location = HeaderValue::from_str(&format!("/v1/jobs/{}", job.id))
         .map_err(|e| Failure::internal(format!("an id cannot stand in a header: {e}")))?;
-    let done = (wait.is_some() || known) && job.state.is_final();
+    let done = (wait.is_some() || taken != Taken::New) && job.state.is_final();
     let retry_after = retry_after(&app, &job);
     let mut response = (if done { StatusCode::OK } else { StatusCode::ACCEPTED }, Json(job)).into_response();
     let headers = response.headers_mut();
@@ -86,8 +88,13 @@ pub(super) async fn submit(State(app): State<App>, request: Request) -> HandlerR
     if let Some(wait) = wait {
         prefer::applied(headers, wait);
     }
-    if known {
-        headers.insert("idempotency-replayed", HeaderValue::from_static("true"));
+    let replayed = match taken {
+        Taken::New => None,
+        Taken::Reused => Some("result-reused"),
+        Taken::Known => Some("idempotency-replayed"),
+    };
+    if let Some(name) = replayed {
+        headers.insert(name, HeaderValue::from_static("true"));
     }
     Ok(response)
 }

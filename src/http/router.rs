@@ -141,6 +141,7 @@ fn cors(sites: &Sites) -> CorsLayer {
             HeaderName::from_static("ratelimit-reset"),
             HeaderName::from_static("preference-applied"),
             HeaderName::from_static("idempotency-replayed"),
+            HeaderName::from_static("result-reused"),
             HeaderName::from_static("x-request-id"),
         ])
 }

@@ -25,6 +25,7 @@ use crate::error::{Code, Failure};
 use crate::jobs::files::{Manifest, UploadedFile, disk};
 use crate::jobs::queue::NewJob;
 use crate::jobs::record::{Job, new_id};
+use crate::jobs::{Taken, build};
 use crate::refine::options::{Options, OptionsSchema};
 use crate::refine::parse;
 
@@ -58,8 +59,8 @@ pub(super) struct Submission {
 
 /// What came of a submission.
 pub(super) enum Received {
-    /// A job; true when it was known, by its key.
-    Job(Box<Job>, bool),
+    /// A job.
+    Job(Box<Job>, Taken),
     /// It would be a job.
     Valid(Validation),
 }
@@ -128,6 +129,7 @@ pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<Receiv
         return Ok(Received::Valid(Validation { valid: true, options, memory_bytes: memory, upload_bytes }));
     }
     let key = key.map(|key| (key, incoming.fingerprint(&options)));
+    let result_key = incoming.result_key(&options).await;
     let (jobs, id, inputs) = (app.jobs.clone(), incoming.id.clone(), incoming.take());
     let job = NewJob {
         id,
@@ -140,12 +142,14 @@ pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<Receiv
         tenant: caller.tenant().to_owned(),
         max_queued: quotas.max_queued,
         max_running: quotas.max_running,
+        result_key,
+        keep: app.jobs.limits.keep_artifacts,
     };
     app.jobs.telemetry.received.inc_by(incoming.bytes);
     // A task of its own: a client that goes away now does not stop it half-way.
     let stored = tokio::spawn(async move { jobs.submit(&job).await }).await;
-    let (job, known) = stored.map_err(|e| Failure::internal(format!("the submission was lost: {e}")))??;
-    Ok(Received::Job(job.into(), known))
+    let (job, taken) = stored.map_err(|e| Failure::internal(format!("the submission was lost: {e}")))??;
+    Ok(Received::Job(job.into(), taken))
 }
 
 /// Whether a job may name this URL to be told.
@@ -492,6 +496,23 @@ impl<'a> IncomingUpload<'a> {
             }
         }
         hex::encode(hash.finalize())
+    }
+
+    /// What the result follows from, where it may be reused: equal options, files, limits and programs give equal bytes, unless there is a
+    /// limit on time. What is only returned or told is no part of it.
+    async fn result_key(&self, options: &Value) -> Option<String> {
+        if options.get("reuse") != Some(&Value::Bool(true)) || options.get("time_limit_s").is_some_and(|s| !s.is_null())
+        {
+            return None;
+        }
+        let build = build().await?;
+        let mut options = options.as_object()?.clone();
+        for told in ["reuse", "webhook", "metadata"] {
+            options.remove(told);
+        }
+        let limits = crate::asset::Limits::from(&self.app.jobs.limits);
+        let all = format!("{build}\n{limits:?}\n{}", self.fingerprint(&Value::Object(options)));
+        Some(hex::encode(Sha256::digest(all)))
     }
 
     fn take(&mut self) -> Manifest {

@@ -20,11 +20,13 @@ pub mod telemetry;
 pub mod webhooks;
 mod worker;
 
+use std::io::Read;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::Notify;
+use sha2::{Digest, Sha256};
+use tokio::sync::{Notify, OnceCell};
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
@@ -44,6 +46,36 @@ use webhooks::Deliverer;
 
 /// How often a job that this process does not run is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
+
+/// How a submission was taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Taken {
+    /// As a new job.
+    New,
+    /// As a new job, which has the result of an equal one.
+    Reused,
+    /// It was known by its key.
+    Known,
+}
+
+/// What tells this build from all others: the hash of its program. `None` where it cannot be read.
+pub async fn build() -> Option<&'static str> {
+    static BUILD: OnceCell<Option<String>> = OnceCell::const_new();
+    let hash = || {
+        let mut program = std::fs::File::open(std::env::current_exe().ok()?).ok()?;
+        let mut hash = Sha256::new();
+        let mut part = vec![0; 1 << 20];
+        loop {
+            match program.read(&mut part).ok()? {
+                0 => break,
+                n => hash.update(part.get(..n)?),
+            }
+        }
+        Some(hex::encode(hash.finalize()))
+    };
+    let build = BUILD.get_or_init(|| async { tokio::task::spawn_blocking(hash).await.ok().flatten() });
+    build.await.as_deref()
+}
 
 /// The jobs of a service.
 pub struct Jobs {
@@ -125,11 +157,11 @@ impl Jobs {
     }
 
     /// Takes a job whose upload is complete in [`Files::incoming`]. When this returns, it survives anything. A job whose key is known
-    /// is not stored again: the one of the key is given, and true.
+    /// is not stored again: the one of the key is given.
     ///
     /// # Errors
     /// `queue_full`, `quota_exceeded`, `idempotency_mismatch`, `internal`; then the upload is removed.
-    pub async fn submit(&self, job: &NewJob) -> Result<(Job, bool)> {
+    pub async fn submit(&self, job: &NewJob) -> Result<(Job, Taken)> {
         let id = &job.id;
         let stored = async {
             let (files, id) = (self.files.clone(), id.clone());
@@ -144,12 +176,19 @@ impl Jobs {
                 let tenant = Some(&job.tenant).filter(|tenant| !tenant.is_empty());
                 tracing::info!(job = %id, tenant, request = job.request, memory = job.memory, "job is queued");
                 self.wake.notify_one();
-                Ok((self.get(id).await?, false))
+                Ok((self.get(id).await?, Taken::New))
+            }
+            Ok(Submitted::Reused) => {
+                tracing::info!(job = %id, request = job.request, "job has the result of an equal one");
+                self.telemetry.reused.inc();
+                self.hub.ended(id, JobState::Succeeded);
+                self.files.remove_uploads(id);
+                Ok((self.get(id).await?, Taken::Reused))
             }
             Ok(Submitted::Known(known)) => {
                 self.hub.ended(id, JobState::Canceled);
                 self.files.remove_uploads(id);
-                Ok((self.get(&known).await?, true))
+                Ok((self.get(&known).await?, Taken::Known))
             }
             Err(failure) => {
                 self.hub.ended(id, JobState::Canceled);

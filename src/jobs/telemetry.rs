@@ -34,6 +34,8 @@ pub struct Telemetry {
     pub published: IntCounter,
     /// Processes of single jobs that died.
     pub deaths: IntCounter,
+    /// Jobs that have the result of an equal one.
+    pub reused: IntCounter,
     /// Jobs that were taken back from workers.
     pub leases_lost: IntCounter,
 }
@@ -99,6 +101,7 @@ impl Telemetry {
                 ))?;
                 registry.register(Box::new(made.clone())).map(|()| made)?
             },
+            reused: counter("results_reused_total", "Jobs that were given the result of an equal one")?,
             leases_lost: counter(
                 "leases_lost_total",
                 "Jobs that this process took back because their worker was gone or did not renew its lease",

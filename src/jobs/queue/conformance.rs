@@ -26,6 +26,7 @@ pub(in crate::jobs) async fn suite<Q: Queue + 'static>(mut make: impl AsyncFnMut
     objects_live_as_long_as_somebody_needs_them(&make().await).await;
     progress_stages_and_warnings_are_kept(&make().await).await;
     pages_hold_every_job_once(&make().await).await;
+    an_equal_job_has_the_result_of_the_first(&make().await).await;
     tenants_see_their_own_jobs(&make().await).await;
     tenants_take_turns_and_small_jobs_come_first(&make().await).await;
     what_has_waited_for_too_long_comes_before_what_is_small(&make().await).await;
@@ -322,6 +323,46 @@ async fn pages_hold_every_job_once(queue: &impl Queue) {
         queue.list(Listing { state: Some(JobState::Failed), limit: 9, ..Listing::default() }).await.unwrap().0.len(),
         0
     );
+}
+
+async fn an_equal_job_has_the_result_of_the_first(queue: &impl Queue) {
+    let equal =
+        |tenant: &str, id: &str, key: &str| NewJob { result_key: Some(key.into()), keep: LEASE, ..of(tenant, id, 1) };
+    let (removed, none) = (Mutex::new(Vec::new()), Vec::<String>::new());
+    let remove = |object: &str| removed.lock().unwrap().push(object.to_owned());
+    assert_eq!(queue.submit(&equal("a", "first", "k"), 9).await, Ok(Submitted::New));
+    assert_eq!(queue.submit(&equal("a", "early", "k"), 9).await, Ok(Submitted::New), "there is no result yet");
+    let first = claim(queue, "w").await.unwrap();
+    queue.reserve(&first, &["1".into()]).await.unwrap();
+    let end = AttemptEnd {
+        artifacts: vec![entry("1")],
+        outcome: Some(RefinementOutcome::Refined),
+        ..ended(JobState::Succeeded)
+    };
+    assert_eq!(queue.finish(&first, &end, LEASE).await, Ok(true));
+    assert_eq!(queue.delete("early").await, Ok(true));
+
+    assert_eq!(queue.submit(&equal("a", "second", "k"), 9).await, Ok(Submitted::Reused));
+    assert_eq!(queue.submit(&equal("b", "third", "k"), 9).await, Ok(Submitted::New), "another tenant's");
+    assert_eq!(queue.submit(&equal("a", "fourth", "l"), 9).await, Ok(Submitted::New), "another job's");
+    let second = queue.get("second").await.unwrap().unwrap();
+    assert_eq!(
+        (second.state, second.attempt, second.outcome),
+        (JobState::Succeeded, 0, Some(RefinementOutcome::Refined))
+    );
+    assert_eq!(second.artifacts[0].href.as_deref(), Some("/v1/jobs/second/artifacts/a"));
+    assert_eq!(second.progress.fraction, 1.0);
+    // What both have stays until neither is there.
+    assert_eq!(queue.delete("first").await, Ok(true));
+    queue.collect(None, &[], UNEXPECTED).await.unwrap();
+    assert_eq!(queue.submit(&equal("a", "fifth", "k"), 9).await, Ok(Submitted::Reused), "of the second");
+    for id in ["second", "fifth"] {
+        assert_eq!(*removed.lock().unwrap(), none);
+        assert_eq!(queue.delete(id).await, Ok(true));
+        queue.collect(None, &[], &remove).await.unwrap();
+    }
+    assert_eq!(*removed.lock().unwrap(), ["1"]);
+    assert_eq!(queue.submit(&equal("a", "sixth", "k"), 9).await, Ok(Submitted::New), "there is none any more");
 }
 
 fn of(tenant: &str, id: &str, memory: u64) -> NewJob {

@@ -37,7 +37,7 @@ pub trait Queue: Send + Sync {
 
     /// Stores a new job, unless `most` jobs wait (`queue_full`), its tenant has as many waiting as it may (`quota_exceeded`), or its key is
     /// known to its tenant: then nothing is stored, and the job of the key is named (`idempotency_mismatch` when that was another request).
-    /// When this returns, the job survives anything.
+    /// When this returns, the job survives anything. Where a job of the same result key has a result, the new one has it too, and has ended.
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted>;
 
     /// A job.
@@ -158,6 +158,10 @@ pub struct NewJob {
     pub max_queued: Option<u32>,
     /// Jobs of its tenant that may run when it starts, with it.
     pub max_running: Option<u32>,
+    /// What its result follows from, where it may be that of another job.
+    pub result_key: Option<String>,
+    /// How long artifacts of another job are kept for it.
+    pub keep: Duration,
 }
 
 impl NewJob {
@@ -173,6 +177,8 @@ impl NewJob {
 pub enum Submitted {
     /// It is stored.
     New,
+    /// It is stored, and has the result of another.
+    Reused,
     /// The key is known, with the same request: this is its job.
     Known(String),
 }

@@ -24,8 +24,8 @@ use super::{
 };
 use crate::context::Progress;
 use crate::error::{Code, Failure, Result};
-use crate::jobs::files::disk;
-use crate::jobs::record::{Job, JobState, Timestamp};
+use crate::jobs::files::{self, disk};
+use crate::jobs::record::{ArtifactEntry, Job, JobState, Timestamp};
 use crate::metrics::RefinementOutcome;
 
 /// The place of a job among those of its tenant that wait: 1 is next. Small jobs do not wait for those that are not.
@@ -197,11 +197,12 @@ impl Queue for Sqlite {
 
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted> {
         let (key, fingerprint) = (job.stored_key(), job.key.as_ref().map(|(_, fingerprint)| fingerprint.as_str()));
+        let mut step = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
         let done = sqlx::query(
             "INSERT INTO jobs (id, state, turn, options, inputs, memory, key, fingerprint, request, created_at, queued_at, progress,
-               upload_bytes, tenant, size, max_running)
+               upload_bytes, tenant, size, max_running, result_key)
              SELECT ?1, 'queued', (SELECT coalesce(max(turn), 0) + 1 FROM jobs WHERE state = 'queued'), ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8, ?10, ?11,
-               ?12, CASE ?12 WHEN '' THEN 0 ELSE ?4 END, ?13
+               ?12, CASE ?12 WHEN '' THEN 0 ELSE ?4 END, ?13, ?15
              WHERE (SELECT count(*) FROM jobs WHERE state = 'queued') < ?9
                AND (?14 IS NULL OR (SELECT count(*) FROM jobs WHERE state = 'queued' AND tenant = ?12) < ?14)
              ON CONFLICT (key) DO NOTHING",
@@ -220,11 +221,18 @@ impl Queue for Sqlite {
         .bind(&job.tenant)
         .bind(job.max_running)
         .bind(job.max_queued)
-        .execute(self.pool()?)
+        .bind(&job.result_key)
+        .execute(&mut *step)
         .await?;
         if done.rows_affected() > 0 {
-            return Ok(Submitted::New);
+            let reused = match &job.result_key {
+                Some(key) => reuse(&mut step, job, key).await?,
+                None => false,
+            };
+            step.commit().await?;
+            return Ok(if reused { Submitted::Reused } else { Submitted::New });
         }
+        step.rollback().await?;
         let known = sqlx::query("SELECT id, fingerprint FROM jobs WHERE key = ?1")
             .bind(&key)
             .fetch_optional(self.pool()?)
@@ -592,6 +600,48 @@ impl Queue for Sqlite {
         }
         Ok(step.commit().await?)
     }
+}
+
+/// Gives a new job the result of an equal one, where there is one; its artifacts stay as long as either job needs them.
+async fn reuse(step: &mut sqlx::SqliteConnection, job: &NewJob, key: &str) -> Result<bool> {
+    let now = Timestamp::now();
+    let source = sqlx::query(
+        "SELECT id, attempt, artifacts FROM jobs WHERE result_key = ?1 AND tenant = ?2 AND state = 'succeeded'
+           AND artifacts_removed = 0 AND artifacts_expire_at > ?3 ORDER BY seq DESC LIMIT 1",
+    )
+    .bind(key)
+    .bind(&job.tenant)
+    .bind(now.0)
+    .fetch_optional(&mut *step)
+    .await?;
+    let Some(source) = source else { return Ok(false) };
+    let (id, attempt): (String, i64) = (source.try_get("id")?, source.try_get("attempt")?);
+    let mut artifacts: Vec<ArtifactEntry> = parsed(&source, "artifacts")?;
+    for entry in &mut artifacts {
+        entry.href = Some(files::href(&job.id, &entry.name));
+    }
+    sqlx::query(
+        "INSERT INTO objects (sha256, job, attempt) SELECT sha256, ?1, 0 FROM objects WHERE job = ?2 AND attempt = ?3",
+    )
+    .bind(&job.id)
+    .bind(&id)
+    .bind(attempt)
+    .execute(&mut *step)
+    .await?;
+    sqlx::query(
+        "UPDATE jobs SET state = 'succeeded', finished_at = ?3, artifacts_expire_at = ?4, artifacts = ?5,
+           (progress, stages, warnings, artifact_bytes, outcome)
+             = (SELECT progress, stages, warnings, artifact_bytes, outcome FROM jobs WHERE id = ?2)
+         WHERE id = ?1",
+    )
+    .bind(&job.id)
+    .bind(&id)
+    .bind(now.0)
+    .bind(now.plus(job.keep).0)
+    .bind(json(&artifacts)?)
+    .execute(&mut *step)
+    .await?;
+    Ok(true)
 }
 
 /// A number as a column holds it.
