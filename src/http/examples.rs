@@ -79,9 +79,9 @@ pub(super) fn limits() -> Value {
     example!("answers/limits.json")
 }
 
-/// A key to make, with the name of a file of `api/examples`.
+/// A key to make.
 pub(super) fn new_key() -> Value {
-    example!("new-key.json")
+    example!("requests/new-key.json")
 }
 
 /// That key when it is made.
@@ -96,7 +96,7 @@ pub(super) fn keys() -> Value {
 
 /// A receiver to make.
 pub(super) fn new_webhook() -> Value {
-    example!("new-webhook.json")
+    example!("requests/new-webhook.json")
 }
 
 /// That receiver when it is made.
