@@ -49,11 +49,13 @@ const NEXT: &str = "
   tenants(name, running, served) AS MATERIALIZED (
     SELECT name, (SELECT count(*) FROM jobs WHERE state = 'running' AND tenant = name),
       (SELECT max(started_at) FROM jobs WHERE tenant = name) FROM names WHERE name IS NOT NULL),
-  free(seq, turn, tenant, size, queued_at) AS (
+  first(turn, seq) AS MATERIALIZED (
+    SELECT turn, seq FROM jobs WHERE ?5 < ?4 AND state = 'queued' AND min(memory, ?4) > ?5 AND queued_at < ?7
+      AND (max_running IS NULL OR max_running > (SELECT running FROM tenants WHERE name = jobs.tenant))
+    ORDER BY turn, seq LIMIT 1),
+  free(seq, turn, tenant, size, queued_at) AS NOT MATERIALIZED (
     SELECT seq, turn, tenant, size, queued_at FROM jobs own WHERE state = 'queued' AND min(memory, ?4) <= ?5 AND memory <= ?6
-      AND NOT EXISTS (SELECT 1 FROM jobs first WHERE first.state = 'queued'
-        AND (first.turn, first.seq) < (own.turn, own.seq) AND min(first.memory, ?4) > ?5 AND first.queued_at < ?7
-        AND (first.max_running IS NULL OR first.max_running > (SELECT running FROM tenants WHERE name = first.tenant)))
+      AND NOT EXISTS (SELECT 1 FROM first WHERE (first.turn, first.seq) < (own.turn, own.seq))
       AND (max_running IS NULL OR max_running > (SELECT running FROM tenants WHERE name = own.tenant))),
   offers(seq, running, served) AS (
     SELECT coalesce(
