@@ -5,6 +5,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use ipnet::IpNet;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 /// Refines the texture atlases of 3D models.
 #[derive(Debug, Parser)]
@@ -19,7 +22,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Run the HTTP service.
-    Serve(Serve),
+    Serve(Box<Serve>),
     /// Refine a model: repack its charts, resample its textures.
     Refine(Refine),
     /// Show the figures of every atlas in a model; nothing is written.
@@ -28,6 +31,8 @@ pub enum Command {
     Sample(Sample),
     /// Print the OpenAPI document of the service.
     Openapi,
+    /// Create, list and revoke the API keys of a service.
+    Keys(Keys),
     /// Copy the data folder of a service, which may go on running, as of one moment.
     Backup(Backup),
     /// Compute one job for the service that starts this; not for people.
@@ -49,6 +54,12 @@ pub struct Serve {
     /// Folder of the queue, the uploads and the results.
     #[arg(long, env = "INTARSIA_DATA_DIR", default_value = "./intarsia-data")]
     pub data_dir: PathBuf,
+    /// What this process does; several may share a data folder.
+    #[arg(long, env = "INTARSIA_ROLE", value_enum, default_value_t = Role::All)]
+    pub role: Role,
+    /// End when no job waits that this process could run, and none runs: for workers that an orchestrator starts as they are needed.
+    #[arg(long, env = "INTARSIA_EXIT_WHEN_IDLE")]
+    pub exit_when_idle: bool,
     /// How the data folder is looked after.
     #[command(flatten)]
     pub storage: Storage,
@@ -62,9 +73,12 @@ pub struct Serve {
     /// times.
     #[arg(long, env = "INTARSIA_ALLOW_HOST", value_delimiter = ',')]
     pub allow_host: Vec<String>,
-    /// Let anybody list all jobs (GET /v1/jobs).
-    #[arg(long, env = "INTARSIA_LIST_JOBS")]
-    pub list_jobs: bool,
+    /// Who may call.
+    #[command(flatten)]
+    pub access: Access,
+    /// Who is told.
+    #[command(flatten)]
+    pub webhooks: Webhooks,
     /// Form of the log lines on stderr.
     #[arg(long, env = "INTARSIA_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
@@ -74,6 +88,170 @@ pub struct Serve {
     /// What is refused, and what is kept how long.
     #[command(flatten)]
     pub limits: Limits,
+}
+
+/// Who may call the service, and how often.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Args)]
+pub struct Access {
+    /// Whether callers need an API key; keys are made by `intarsia keys create`.
+    #[arg(long, env = "INTARSIA_AUTH", value_enum, default_value_t = Auth::None)]
+    pub auth: Auth,
+    /// Let anybody list all jobs (GET /v1/jobs). With keys, each tenant lists its own.
+    #[arg(long, env = "INTARSIA_LIST_JOBS")]
+    pub list_jobs: bool,
+    /// Requests in a minute that each key, or each address without one, may send; without it, any number. A key may have a limit of its own.
+    #[arg(long, env = "INTARSIA_RATE_LIMIT", value_parser = clap::value_parser!(u32).range(1..))]
+    pub rate_limit: Option<u32>,
+}
+
+/// Where webhooks may go, and how those are signed that a job names.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Args)]
+pub struct Webhooks {
+    /// Network (such as 10.1.0.0/16) that webhooks may reach although it is not of the open internet; may be given several times.
+    #[arg(long, env = "INTARSIA_WEBHOOK_ALLOW", value_name = "CIDR", value_delimiter = ',')]
+    pub webhook_allow: Vec<IpNet>,
+    /// Secret (`whsec_` and 24 bytes or more in base64) of what is told to the `webhook` of a job; without it, jobs may name none. Several
+    /// while they rotate, the newest first. Better given by the environment: others on the machine can read command lines.
+    #[arg(long, env = "INTARSIA_WEBHOOK_SECRET", value_name = "SECRET", value_delimiter = ',', hide_env_values = true)]
+    pub webhook_secret: Vec<Secret>,
+}
+
+/// What stands in no help, log or answer.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Secret(String);
+
+impl Secret {
+    /// The secret itself.
+    pub fn text(&self) -> &str {
+        &self.0
+    }
+}
+
+impl std::str::FromStr for Secret {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Ok(Secret(text.to_owned()))
+    }
+}
+
+impl std::fmt::Debug for Secret {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("(secret)")
+    }
+}
+
+/// Whether callers need an API key.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+pub enum Auth {
+    /// Anybody may call; knowing the id of a job is the right to read it.
+    #[default]
+    None,
+    /// Only who has a key; each tenant has its own jobs.
+    Keys,
+}
+
+/// What a key is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Scope {
+    /// Submit, cancel and delete jobs of the tenant.
+    Submit,
+    /// Read and list jobs of the tenant, and fetch their artifacts.
+    Read,
+    /// Make, list and revoke keys of all tenants, and read the metrics.
+    Admin,
+}
+
+impl Scope {
+    /// The name in JSON.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Scope::Submit => "submit",
+            Scope::Read => "read",
+            Scope::Admin => "admin",
+        }
+    }
+}
+
+/// What a tenant may have while it uses a key; null is any number.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Args, Serialize, Deserialize, ToSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Quotas {
+    /// Jobs of the tenant that wait.
+    #[arg(long)]
+    #[schema(minimum = 0)]
+    pub max_queued: Option<u32>,
+    /// Jobs of the tenant that run at once; further ones wait.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    #[schema(minimum = 1)]
+    pub max_running: Option<u32>,
+    /// Bytes of the tenant's uploads and artifacts that are kept.
+    #[arg(long, value_parser = parse_size)]
+    #[schema(minimum = 0)]
+    pub max_stored: Option<u64>,
+    /// Submissions of the tenant that are received at the same time.
+    #[arg(long)]
+    #[schema(minimum = 0)]
+    pub max_uploads: Option<u32>,
+    /// Requests with this key in a minute.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    #[schema(minimum = 1)]
+    pub rate_limit: Option<u32>,
+}
+
+/// `intarsia keys`.
+#[derive(Debug, Clone, Args)]
+pub struct Keys {
+    /// Folder of the queue, the uploads and the results.
+    #[arg(long, env = "INTARSIA_DATA_DIR", default_value = "./intarsia-data", global = true)]
+    pub data_dir: PathBuf,
+    /// What to do.
+    #[command(subcommand)]
+    pub command: KeysCommand,
+}
+
+/// What to do with keys.
+#[derive(Debug, Clone, Subcommand)]
+pub enum KeysCommand {
+    /// Make a key. Its token goes to stdout, this once.
+    Create {
+        /// Whose jobs it works on: 1 to 64 letters, digits, `.`, `_` or `-`.
+        #[arg(long)]
+        tenant: String,
+        /// What it is for; may be given several times.
+        #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Scope::Submit, Scope::Read])]
+        scope: Vec<Scope>,
+        /// What people call it.
+        #[arg(long, default_value = "")]
+        name: String,
+        /// What its tenant may have.
+        #[command(flatten)]
+        quotas: Quotas,
+    },
+    /// List all keys; no token is shown.
+    List {
+        /// Print them as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Revoke a key: it stops within a second.
+    Revoke {
+        /// Its id.
+        id: String,
+    },
+}
+
+/// What a process of the service does.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+pub enum Role {
+    /// Takes jobs and runs them.
+    #[default]
+    All,
+    /// Takes jobs, tells of them, and runs none.
+    Api,
+    /// Runs jobs; answers only /healthz, /readyz, /metrics and /openapi.json.
+    Worker,
 }
 
 /// Form of log lines.

@@ -32,6 +32,8 @@ pub enum Code {
     InvalidRequest,
     /// The media type of a request is not supported (HTTP).
     UnsupportedMediaType,
+    /// The request has no valid API key (HTTP).
+    Unauthorized,
     /// Whoever asks may not (HTTP).
     Forbidden,
     /// No such job, artifact or route (HTTP).
@@ -44,6 +46,10 @@ pub enum Code {
     IdempotencyMismatch,
     /// The queue is full (HTTP).
     QueueFull,
+    /// A quota of the API key is used up (HTTP).
+    QuotaExceeded,
+    /// Too many requests in a minute (HTTP).
+    RateLimited,
     /// The service has no space left to store anything (HTTP).
     InsufficientStorage,
     /// The disk or the database of the service fails for now (HTTP).
@@ -67,12 +73,15 @@ impl Code {
             Code::Canceled => "canceled",
             Code::InvalidRequest => "invalid_request",
             Code::UnsupportedMediaType => "unsupported_media_type",
+            Code::Unauthorized => "unauthorized",
             Code::Forbidden => "forbidden",
             Code::NotFound => "not_found",
             Code::Gone => "gone",
             Code::Conflict => "conflict",
             Code::IdempotencyMismatch => "idempotency_mismatch",
             Code::QueueFull => "queue_full",
+            Code::QuotaExceeded => "quota_exceeded",
+            Code::RateLimited => "rate_limited",
             Code::InsufficientStorage => "insufficient_storage",
             Code::Unavailable => "unavailable",
             Code::Internal => "internal",

@@ -1,4 +1,4 @@
-//! The command line: serve, refine, inspect, sample, openapi, health.
+//! The command line: serve, refine, inspect, sample, openapi, keys, backup, health.
 //!
 //! Exit codes: 0 done; 1 internal; 2 usage; 3 the input is at fault; 4 a requirement is not met, or there is a warning
 //! that `strict` names.
@@ -19,6 +19,7 @@ fn main() -> ExitCode {
         Command::Inspect(arguments) => commands::inspect::run(&arguments),
         Command::Sample(arguments) => commands::sample::run(&arguments),
         Command::Openapi => commands::openapi::run(),
+        Command::Keys(arguments) => commands::keys::run(&arguments),
         Command::Backup(arguments) => commands::backup::run(&arguments),
         Command::Attempt { job: _ } => intarsia::jobs::attempt(),
         Command::Health(arguments) => commands::health::run(&arguments),

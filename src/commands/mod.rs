@@ -3,6 +3,7 @@
 pub mod backup;
 pub mod health;
 pub mod inspect;
+pub mod keys;
 pub mod openapi;
 mod progress;
 pub mod refine;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use axum_server::accept::NoDelayAcceptor;
 use hyper_util::rt::TokioTimer;
-use intarsia::config::{LogFormat, Serve};
+use intarsia::config::{LogFormat, Role, Serve};
 use intarsia::error::{Code, Failure, Result};
 use intarsia::http::App;
 use intarsia::http::router::router;
@@ -38,13 +38,24 @@ pub fn run(arguments: &Serve) -> Result<()> {
 }
 
 async fn serve(arguments: &Serve) -> Result<()> {
+    if arguments.exit_when_idle && arguments.role == Role::Api {
+        let message = "--exit-when-idle is for who runs jobs, and --role api runs none";
+        return Err(Failure::new(Code::InvalidRequest, message));
+    }
     // A service with many listeners has many open files.
     if let Err(error) = rlimit::increase_nofile_limit(u64::MAX) {
         tracing::warn!(%error, "the limit of open files stays as it is");
     }
     let sites = Sites::new(&arguments.allow_origin, &arguments.allow_host, arguments.listen)?;
-    let jobs = Jobs::open(&arguments.data_dir, &arguments.work, arguments.limits.clone(), &arguments.storage).await?;
-    let service = router(App::new(jobs.clone(), arguments.list_jobs), sites);
+    let jobs = Jobs::open(
+        &arguments.data_dir,
+        &arguments.work,
+        arguments.limits.clone(),
+        &arguments.storage,
+        &arguments.webhooks,
+    )
+    .await?;
+    let service = router(App::new(jobs.clone(), arguments.access.clone()), sites, arguments.role);
     let failed =
         |e: std::io::Error| Failure::new(Code::InvalidRequest, format!("cannot listen on {}: {e}", arguments.listen));
     let listener = TcpListener::bind(arguments.listen).map_err(failed)?;
@@ -56,9 +67,16 @@ async fn serve(arguments: &Serve) -> Result<()> {
     server = server.first_request_timeout(HEADERS);
     // Half a request holds its connection only for a while.
     server.http_builder().http1().timer(TokioTimer::new()).header_read_timeout(HEADERS);
-    let worker = tokio::spawn(jobs.clone().work());
+    let (works, jobs_of_worker) = (arguments.role != Role::Api, jobs.clone());
+    let exit_when_idle = arguments.exit_when_idle;
+    let worker = tokio::spawn(async move {
+        if works {
+            jobs_of_worker.work(exit_when_idle).await;
+        }
+    });
     let maintenance = tokio::spawn(jobs.clone().run_maintenance());
     tokio::spawn(jobs.clone().watch());
+    tokio::spawn(jobs.webhooks.clone().run(jobs.shutdown.clone()));
     // For `intarsia health`, which does not know how this process was started. Where it cannot be written, the service has other troubles.
     let _ = std::fs::write(arguments.data_dir.join(ADDRESS), format!("{address}\n"));
     super::print(&format!("listening on http://{address}\n"))?;

@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 use utoipa::openapi::schema::{AdditionalProperties, SchemaType, Type};
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{
     Content, InfoBuilder, LicenseBuilder, OpenApi, OpenApiBuilder, Ref, RefOr, Response, ResponseBuilder, Schema,
     ServerBuilder,
@@ -11,6 +12,9 @@ use utoipa::{PartialSchema, ToResponse, ToSchema};
 use super::artifacts::ArtifactBytes;
 use super::problem::{Problem, status};
 use crate::error::Code;
+
+/// Name of the way to send a key.
+const BEARER: &str = "bearer";
 
 /// Media type of a [`Problem`].
 const PROBLEM: &str = "application/problem+json";
@@ -49,6 +53,11 @@ pub(super) fn complete(mut document: OpenApi) -> OpenApi {
     components.responses.insert("Problem".to_owned(), any.into());
     let (name, artifact) = ArtifactBytes::response();
     components.responses.insert(name.to_owned(), artifact);
+    let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some(
+        "An API key, where the service was started with `--auth keys`. Each key has scopes: `submit`, `read`, `admin`.",
+    ));
+    components.add_security_scheme(BEARER, SecurityScheme::Http(bearer.build()));
+    document.security = Some(vec![SecurityRequirement::default(), SecurityRequirement::new(BEARER, [""; 0])]);
     for (name, schema) in &mut components.schemas {
         let RefOr::T(Schema::Object(object)) = schema else { continue };
         // What is asked for is closed and has defaults; what is told has every key, with null where there is nothing to tell.

@@ -79,6 +79,46 @@ pub(super) fn limits() -> Value {
     example!("answers/limits.json")
 }
 
+/// A key to make.
+pub(super) fn new_key() -> Value {
+    example!("requests/new-key.json")
+}
+
+/// That key when it is made.
+pub(super) fn made_key() -> Value {
+    example!("answers/made-key.json")
+}
+
+/// All keys: that one.
+pub(super) fn keys() -> Value {
+    json!({"keys": [made_key()["key"]]})
+}
+
+/// A receiver to make.
+pub(super) fn new_webhook() -> Value {
+    example!("requests/new-webhook.json")
+}
+
+/// That receiver when it is made.
+pub(super) fn made_webhook() -> Value {
+    example!("answers/made-webhook.json")
+}
+
+/// All receivers: that one.
+pub(super) fn webhooks() -> Value {
+    json!({"webhooks": [made_webhook()["webhook"]], "job_secret": null})
+}
+
+/// A secret that takes the place of another.
+pub(super) fn new_secret() -> Value {
+    json!({"secret": made_webhook()["secret"], "previous_until": "2026-11-28T08:30:00Z"})
+}
+
+/// What that receiver was told.
+pub(super) fn deliveries() -> Value {
+    example!("answers/deliveries.json")
+}
+
 /// A service that is well.
 pub(super) fn health() -> Value {
     json!({"status": "ok", "version": env!("CARGO_PKG_VERSION")})

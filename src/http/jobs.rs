@@ -1,20 +1,24 @@
 //! `/v1/jobs`: submit, read, list, cancel, delete.
 
-use axum::Json;
 use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::IntoResponse;
+use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
+use super::access::Caller;
 use super::document::Binary;
 use super::examples;
 use super::prefer;
 use super::problem::{HandlerResult, Problem};
-use super::upload::{self, Submission};
+use super::upload::{self, Received, Submission, Validation};
+use crate::config::Auth;
 use crate::error::{Code, Failure};
+use crate::jobs::Taken;
+use crate::jobs::queue::Listing;
 use crate::jobs::record::{Job, JobState};
 
 /// Seconds after which a job that is not final may be asked for again: soon when it runs, when its turn may come while it waits.
@@ -25,6 +29,7 @@ fn retry_after(app: &App, job: &Job) -> HeaderValue {
 /// Submits a model. Container, options and limits are checked at once, everything else when the job runs: follow it.
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs",
     params(("recipe" = Option<String>, Query, description = "With a raw model: a preset, or stages joined by commas", example = "pack"),
+        ("validate_only" = Option<bool>, Query, description = "Check the submission as always, and store nothing"),
         ("Prefer" = Option<String>, Header, example = "wait=10",
             description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
         ("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255, example = "build-17",
@@ -38,12 +43,15 @@ fn retry_after(app: &App, job: &Job) -> HeaderValue {
         (inline(Binary) = "model/gltf-binary"), (inline(Binary) = "application/zip"), (inline(Binary) = "application/octet-stream"),
         (serde_json::Map<String, serde_json::Value> = "model/gltf+json", example = json!({"asset": {"version": "2.0"}})))),
     responses(
-        (status = 200, description = "Waited for: the job is final", body = Job,
-            headers(("Location" = String, description = "The job"), ("Preference-Applied" = String, description = "The wait")), example = json!(examples::job())),
+        (status = 200, description = "Waited for: the job is final. With `validate_only`: what the job would be", body = SubmitAnswer,
+            headers(("Location" = String, description = "The job"), ("Preference-Applied" = String, description = "The wait"),
+                ("Result-Reused" = Option<String>, description = "`true`: the job has the result of an equal one (`reuse`)")), example = json!(examples::job())),
         (status = 202, description = "Stored", body = Job,
             headers(("Location" = String, description = "The job"), ("Retry-After" = u32, description = "Seconds"),
                 ("Preference-Applied" = Option<String>, description = "The wait that was not long enough"),
                 ("Idempotency-Replayed" = Option<String>, description = "`true`: the request was known by its key")), example = json!(examples::queued())),
+        (status = 429, description = "A quota of the key is used up, or too many requests came", body = Problem,
+            content_type = "application/problem+json", headers(("Retry-After" = u32, description = "Seconds"))),
         (status = 408, description = "The upload stood still", body = Problem, content_type = "application/problem+json"),
         (status = 400, description = "Not a model, or a malformed request", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "A limit is exceeded", body = Problem, content_type = "application/problem+json"),
@@ -55,17 +63,21 @@ fn retry_after(app: &App, job: &Job) -> HeaderValue {
 pub(super) async fn submit(State(app): State<App>, request: Request) -> HandlerResult {
     let wait = prefer::wait(request.headers());
     let received = upload::receive(&app, request).await;
-    let (mut job, known) = received.map_err(|problem| match problem.code {
+    let received = received.map_err(|problem| match problem.code {
         // A place is free when one of those that run has ended.
-        Code::QueueFull => Problem { retry_after: Some(app.jobs.seconds_until(1)), ..problem },
+        Code::QueueFull | Code::QuotaExceeded => Problem { retry_after: Some(app.jobs.seconds_until(1)), ..problem },
         _ => problem,
     })?;
+    let (mut job, taken) = match received {
+        Received::Job(job, taken) => (*job, taken),
+        Received::Valid(validation) => return Ok(Json(validation).into_response()),
+    };
     if let Some(wait) = wait {
         job = app.jobs.wait_until_final(&job.id, wait).await?;
     }
     let location = HeaderValue::from_str(&format!("/v1/jobs/{}", job.id))
         .map_err(|e| Failure::internal(format!("an id cannot stand in a header: {e}")))?;
-    let done = (wait.is_some() || known) && job.state.is_final();
+    let done = (wait.is_some() || taken != Taken::New) && job.state.is_final();
     let retry_after = retry_after(&app, &job);
     let mut response = (if done { StatusCode::OK } else { StatusCode::ACCEPTED }, Json(job)).into_response();
     let headers = response.headers_mut();
@@ -76,8 +88,13 @@ pub(super) async fn submit(State(app): State<App>, request: Request) -> HandlerR
     if let Some(wait) = wait {
         prefer::applied(headers, wait);
     }
-    if known {
-        headers.insert("idempotency-replayed", HeaderValue::from_static("true"));
+    let replayed = match taken {
+        Taken::New => None,
+        Taken::Reused => Some("result-reused"),
+        Taken::Known => Some("idempotency-replayed"),
+    };
+    if let Some(name) = replayed {
+        headers.insert(name, HeaderValue::from_static("true"));
     }
     Ok(response)
 }
@@ -121,6 +138,17 @@ pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers
     Ok(response)
 }
 
+/// What a submission is answered.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "describes the answer in the OpenAPI document")]
+pub(super) enum SubmitAnswer {
+    /// The job.
+    Job(Box<Job>),
+    /// What it would be.
+    Validation(Validation),
+}
+
 /// Which job is meant.
 #[derive(IntoParams)]
 #[into_params(parameter_in = Path)]
@@ -154,25 +182,34 @@ pub(super) struct JobPage {
     next: Option<i64>,
 }
 
-/// All jobs, page by page; only where the service was started with `--list-jobs`.
+/// Jobs, page by page: those of the key's tenant, or all where the service was started with `--list-jobs` and without keys.
 #[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(ListQuery), responses(
     (status = 200, description = "A page of them", body = JobPage, example = json!(examples::page())),
     (status = 400, description = "A malformed query", body = Problem, content_type = "application/problem+json"),
     (status = 404, description = "The service does not list jobs", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn list(
     State(app): State<App>,
+    Extension(caller): Extension<Caller>,
     query: Result<Query<ListQuery>, axum::extract::rejection::QueryRejection>,
 ) -> HandlerResult {
-    if !app.list_jobs {
+    if !app.access.list_jobs && app.access.auth == Auth::None {
         return Err(Problem::new(Code::NotFound, "this service does not list its jobs"));
     }
     let Query(query) = query.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
-    let limit = query.limit.unwrap_or(50);
-    if !(1..=200).contains(&limit) {
-        return Err(Problem::new(Code::InvalidRequest, "`limit` is in 1..=200"));
-    }
-    let (jobs, next) = app.jobs.queue.list(query.state, query.cursor, limit).await?;
+    let limit = page_limit(query.limit)?;
+    let wanted = Listing { tenant: caller.tenant_if_any(), state: query.state, cursor: query.cursor, limit };
+    let (jobs, next) = app.jobs.queue.list(wanted).await?;
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(JobPage { jobs, next })).into_response())
+}
+
+/// How many entries a page has.
+pub(super) fn page_limit(wanted: Option<u32>) -> HandlerResult<u32> {
+    let limit = wanted.unwrap_or(50);
+    if (1..=200).contains(&limit) {
+        Ok(limit)
+    } else {
+        Err(Problem::new(Code::InvalidRequest, "`limit` is in 1..=200"))
+    }
 }
 
 /// Cancels a job: at once while it waits, soon when it runs.

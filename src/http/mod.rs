@@ -1,23 +1,30 @@
 //! The service: routes on one screen ([`router`]), one file a resource, problem details.
 
+mod access;
 mod artifacts;
+mod body;
 mod document;
 mod events;
 mod examples;
 mod health;
 mod jobs;
+mod keys;
 mod prefer;
 mod preflight;
 pub mod problem;
+mod rate_limit;
 mod recipes;
 pub mod router;
 pub mod sites;
 mod upload;
 mod upload_slots;
+mod webhooks;
 
 use std::sync::Arc;
 
+use self::rate_limit::RateLimiter;
 use self::upload_slots::UploadSlots;
+use crate::config::Access;
 use crate::jobs::Jobs;
 
 /// What every handler may use.
@@ -27,14 +34,16 @@ pub struct App {
     pub jobs: Arc<Jobs>,
     /// Bounds the submissions that are received at the same time.
     pub(crate) uploads: Arc<UploadSlots>,
-    /// Whether anybody may list all jobs.
-    pub(crate) list_jobs: bool,
+    /// Who may call.
+    pub(crate) access: Arc<Access>,
+    /// Bounds the requests of each client.
+    rates: Arc<RateLimiter>,
 }
 
 impl App {
-    /// The service over `jobs`.
-    pub fn new(jobs: Arc<Jobs>, list_jobs: bool) -> Self {
+    /// The service over `jobs`, for whoever may call.
+    pub fn new(jobs: Arc<Jobs>, access: Access) -> Self {
         let uploads = UploadSlots::new(jobs.limits.max_uploads);
-        App { jobs, uploads, list_jobs }
+        App { jobs, uploads, access: access.into(), rates: Arc::default() }
     }
 }

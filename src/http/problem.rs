@@ -5,6 +5,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use crate::config::Scope;
 use crate::error::{Code, Failure};
 use crate::refine::parse::Problem as OptionProblem;
 
@@ -25,12 +26,15 @@ pub fn status(code: Code) -> (StatusCode, &'static str) {
         Code::Canceled => (StatusCode::CONFLICT, "The job was cancelled"),
         Code::InvalidRequest => (StatusCode::BAD_REQUEST, "The request is malformed"),
         Code::UnsupportedMediaType => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "The media type is not supported"),
+        Code::Unauthorized => (StatusCode::UNAUTHORIZED, "A valid API key is needed"),
         Code::Forbidden => (StatusCode::FORBIDDEN, "Not allowed"),
         Code::NotFound => (StatusCode::NOT_FOUND, "Not found"),
         Code::Gone => (StatusCode::GONE, "Removed"),
         Code::Conflict => (StatusCode::CONFLICT, "The state of the job does not allow this"),
         Code::IdempotencyMismatch => (StatusCode::UNPROCESSABLE_ENTITY, "The key belongs to another request"),
         Code::QueueFull => (StatusCode::SERVICE_UNAVAILABLE, "The service is busy"),
+        Code::QuotaExceeded => (StatusCode::TOO_MANY_REQUESTS, "A quota is used up"),
+        Code::RateLimited => (StatusCode::TOO_MANY_REQUESTS, "Too many requests"),
         Code::InsufficientStorage => (StatusCode::INSUFFICIENT_STORAGE, "The service has no space left"),
         Code::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, "The service is in trouble"),
         Code::Internal => (StatusCode::INTERNAL_SERVER_ERROR, "Intarsia is at fault"),
@@ -56,6 +60,36 @@ pub struct Problem {
     /// Seconds after which it may be tried again, where that is known.
     #[serde(skip)]
     pub retry_after: Option<u64>,
+    /// How the client can prove who it is (`WWW-Authenticate`, RFC 6750), where that is why.
+    #[serde(skip)]
+    pub challenge: Option<Challenge>,
+}
+
+/// What a client lacks that may not do something: a `WWW-Authenticate` header (RFC 6750, section 3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Challenge {
+    /// It sent no key.
+    Missing,
+    /// It sent one that is not valid.
+    Invalid,
+    /// Its key has not this scope.
+    Scope(Scope),
+}
+
+impl Challenge {
+    fn as_str(self) -> &'static str {
+        match self {
+            Challenge::Missing => "Bearer realm=\"intarsia\"",
+            Challenge::Invalid => "Bearer realm=\"intarsia\", error=\"invalid_token\"",
+            Challenge::Scope(Scope::Submit) => {
+                "Bearer realm=\"intarsia\", error=\"insufficient_scope\", scope=\"submit\""
+            }
+            Challenge::Scope(Scope::Read) => "Bearer realm=\"intarsia\", error=\"insufficient_scope\", scope=\"read\"",
+            Challenge::Scope(Scope::Admin) => {
+                "Bearer realm=\"intarsia\", error=\"insufficient_scope\", scope=\"admin\""
+            }
+        }
+    }
 }
 
 impl Problem {
@@ -71,6 +105,7 @@ impl Problem {
             code,
             errors: Vec::new(),
             retry_after: None,
+            challenge: None,
         }
     }
 
@@ -106,7 +141,11 @@ impl IntoResponse for Problem {
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-        if matches!(status, StatusCode::SERVICE_UNAVAILABLE | StatusCode::INSUFFICIENT_STORAGE) {
+        if let Some(challenge) = self.challenge {
+            headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge.as_str()));
+        }
+        let later = [StatusCode::SERVICE_UNAVAILABLE, StatusCode::INSUFFICIENT_STORAGE, StatusCode::TOO_MANY_REQUESTS];
+        if later.contains(&status) {
             headers.insert(header::RETRY_AFTER, self.retry_after.map_or(RETRY_AFTER, HeaderValue::from));
         }
         response

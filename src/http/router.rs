@@ -20,13 +20,14 @@ use utoipa_axum::routes;
 
 use super::problem::Problem;
 use super::sites::{self, Sites};
-use super::{App, artifacts, document, events, health, jobs, recipes};
+use super::{App, access, artifacts, document, events, health, jobs, keys, recipes, webhooks};
+use crate::config::Role;
 use crate::error::Code;
 
 /// How long a browser remembers what a page may send: the most that browsers take.
 const PREFLIGHT_AGE: Duration = Duration::from_secs(7200);
 
-/// The routes.
+/// The routes of a process that takes jobs.
 fn all_routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(document::head())
         .routes(routes!(jobs::submit, jobs::list))
@@ -35,17 +36,31 @@ fn all_routes() -> OpenApiRouter<App> {
         .routes(routes!(events::follow))
         .routes(routes!(artifacts::report))
         .routes(routes!(artifacts::fetch))
+        .routes(routes!(keys::list, keys::create))
+        .routes(routes!(keys::revoke))
+        .routes(routes!(webhooks::list, webhooks::create))
+        .routes(routes!(webhooks::delete))
+        .routes(routes!(webhooks::rotate))
+        .routes(routes!(webhooks::deliveries))
+        .routes(routes!(webhooks::replay))
         .routes(routes!(recipes::recipes))
         .routes(routes!(recipes::limits))
+        .merge(service_routes())
+}
+
+/// The routes of every process.
+fn service_routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
         .routes(routes!(health::alive))
         .routes(routes!(health::ready))
         .routes(routes!(health::metrics))
         .routes(routes!(health::contract))
 }
 
-/// The service, for the pages and under the names of `sites`.
-pub fn router(app: App, sites: Sites) -> Router {
-    let (router, _) = all_routes().split_for_parts();
+/// The service, for the pages and under the names of `sites`; that of a worker takes no jobs.
+pub fn router(app: App, sites: Sites, role: Role) -> Router {
+    let routes = if role == Role::Worker { service_routes() } else { all_routes() };
+    let (router, _) = routes.split_for_parts();
     let request_id = HeaderName::from_static("x-request-id");
     let mut router = router
         .fallback(|| async { Problem::new(Code::NotFound, "there is no such route; /openapi.json lists all") })
@@ -58,6 +73,7 @@ pub fn router(app: App, sites: Sites) -> Router {
         })
         // Uploads have a limit of their own, counted while they stream to the disk.
         .layer(DefaultBodyLimit::disable())
+        .layer(from_fn_with_state(app.clone(), access::check))
         .layer(from_fn(catch_panics))
         .layer(from_fn_with_state(app.clone(), record_response))
         .layer(CompressionLayer::new().compress_when(is_compressible));
@@ -101,6 +117,7 @@ fn cors(sites: &Sites) -> CorsLayer {
         .max_age(PREFLIGHT_AGE)
         .allow_methods([Method::GET, Method::POST, Method::DELETE])
         .allow_headers([
+            header::AUTHORIZATION,
             header::CONTENT_TYPE,
             header::IF_NONE_MATCH,
             header::IF_RANGE,
@@ -117,8 +134,14 @@ fn cors(sites: &Sites) -> CorsLayer {
             header::CONTENT_DISPOSITION,
             header::CONTENT_RANGE,
             header::ACCEPT_RANGES,
+            header::WWW_AUTHENTICATE,
+            HeaderName::from_static("ratelimit-limit"),
+            HeaderName::from_static("ratelimit-policy"),
+            HeaderName::from_static("ratelimit-remaining"),
+            HeaderName::from_static("ratelimit-reset"),
             HeaderName::from_static("preference-applied"),
             HeaderName::from_static("idempotency-replayed"),
+            HeaderName::from_static("result-reused"),
             HeaderName::from_static("x-request-id"),
         ])
 }

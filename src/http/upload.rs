@@ -1,12 +1,12 @@
 //! How a submission comes in: streamed to the disk, counted while it streams, checked, handed to the queue.
 
 use axum::body::{Body, BodyDataStream, Bytes};
-use axum::extract::{ConnectInfo, FromRequest, Multipart, Request};
+use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, header};
 use futures_util::{Stream, StreamExt};
+use serde::Serialize;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
-use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
@@ -17,6 +17,7 @@ use tokio::time::timeout;
 use utoipa::ToSchema;
 
 use super::App;
+use super::access::Caller;
 use super::preflight;
 use super::problem::{HandlerResult, Problem};
 use crate::asset::{Demand, estimate};
@@ -24,6 +25,7 @@ use crate::error::{Code, Failure};
 use crate::jobs::files::{Manifest, UploadedFile, disk};
 use crate::jobs::queue::NewJob;
 use crate::jobs::record::{Job, new_id};
+use crate::jobs::{Taken, build};
 use crate::refine::options::{Options, OptionsSchema};
 use crate::refine::parse;
 
@@ -55,17 +57,45 @@ pub(super) struct Submission {
     options: Option<Options>,
 }
 
-/// Receives a submission and stores it as a job; true when it was known, by its key.
-pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<(Job, bool)> {
+/// What came of a submission.
+pub(super) enum Received {
+    /// A job.
+    Job(Box<Job>, Taken),
+    /// It would be a job.
+    Valid(Validation),
+}
+
+/// What a submission would be as a job.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Validation {
+    /// `true`.
+    #[schema(default = true)]
+    valid: bool,
+    /// The options, all defaults filled in.
+    #[schema(value_type = OptionsSchema)]
+    options: Value,
+    /// Bytes of memory that the job would be expected to need.
+    memory_bytes: u64,
+    /// Bytes that were sent.
+    upload_bytes: u64,
+}
+
+/// Receives a submission and stores it as a job, unless it is only to be looked at.
+pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<Received> {
     let request_id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).map(truncated);
-    let client =
-        request.extensions().get::<ConnectInfo<SocketAddr>>().map_or(Ipv4Addr::UNSPECIFIED.into(), |c| c.0.ip());
+    let caller = request.extensions().get::<Caller>().cloned();
+    let caller = caller.ok_or_else(|| Failure::internal("nobody has looked at who calls"))?;
+    let quotas = caller.quotas();
     let request = request.map(|body| Body::from_stream(DrainOnDrop(Some(body.into_data_stream()))));
     let key = key(request.headers())?;
-    let recipe = query(&request)?;
-    admit(app, request.headers()).await?;
+    let UploadQuery { recipe, validate_only } = query(&request)?;
+    admit(app, &caller, request.headers()).await?;
     let request = started(request, app.jobs.limits.upload_idle).await?;
-    let Some(_slot) = app.uploads.take(client) else {
+    let Some(_slot) = app.uploads.take(caller.client(), quotas.max_uploads) else {
+        if let Some(most) = quotas.max_uploads.filter(|most| app.uploads.taken_by(&caller.client()) >= *most as usize) {
+            let detail = format!("this key lets {most} submissions be received at the same time, and so many are");
+            return Err(Problem::new(Code::QuotaExceeded, detail));
+        }
         return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
     };
     let mut incoming = IncomingUpload::new(app).await?;
@@ -88,16 +118,49 @@ pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<(Job, 
         named(&mut options, recipe)?;
     }
     let options = parse::options(&options).map_err(Problem::options)?;
+    if let Some(url) = &options.webhook {
+        check_webhook(app, &caller, url)?;
+    }
     incoming.check().await?;
     let memory = incoming.memory(options.demand()).await?;
     let options = serde_json::to_value(&options).map_err(|e| Failure::internal(e.to_string()))?;
+    if validate_only {
+        let upload_bytes = incoming.bytes;
+        return Ok(Received::Valid(Validation { valid: true, options, memory_bytes: memory, upload_bytes }));
+    }
     let key = key.map(|key| (key, incoming.fingerprint(&options)));
+    let result_key = incoming.result_key(&options).await;
     let (jobs, id, inputs) = (app.jobs.clone(), incoming.id.clone(), incoming.take());
-    let job = NewJob { id, options, inputs, memory, bytes: incoming.bytes, key, request: request_id };
+    let job = NewJob {
+        id,
+        options,
+        inputs,
+        memory,
+        bytes: incoming.bytes,
+        key,
+        request: request_id,
+        tenant: caller.tenant().to_owned(),
+        max_queued: quotas.max_queued,
+        max_running: quotas.max_running,
+        result_key,
+        keep: app.jobs.limits.keep_artifacts,
+    };
     app.jobs.telemetry.received.inc_by(incoming.bytes);
     // A task of its own: a client that goes away now does not stop it half-way.
     let stored = tokio::spawn(async move { jobs.submit(&job).await }).await;
-    Ok(stored.map_err(|e| Failure::internal(format!("the submission was lost: {e}")))??)
+    let (job, taken) = stored.map_err(|e| Failure::internal(format!("the submission was lost: {e}")))??;
+    Ok(Received::Job(job.into(), taken))
+}
+
+/// Whether a job may name this URL to be told.
+fn check_webhook(app: &App, caller: &Caller, url: &str) -> HandlerResult<()> {
+    let refused = |why: String| Problem::options(vec![crate::params::Problem::new("/webhook", why)]);
+    if app.jobs.webhooks.job_secret(caller.tenant()).is_none() {
+        return Err(refused(
+            "this service signs nothing for single jobs: it was started without `--webhook-secret`".to_owned(),
+        ));
+    }
+    app.jobs.webhooks.check_url(url).map_err(|failure| refused(failure.message))
 }
 
 /// The client's name for its request: what is sent again under it is not done again.
@@ -113,7 +176,7 @@ fn key(headers: &HeaderMap) -> HandlerResult<Option<String>> {
 }
 
 /// What is refused before anything is read.
-async fn admit(app: &App, headers: &HeaderMap) -> HandlerResult<()> {
+async fn admit(app: &App, caller: &Caller, headers: &HeaderMap) -> HandlerResult<()> {
     let limits = &app.jobs.limits;
     app.jobs.ready()?;
     // A request with a key may be known: that shows only when all of it is here.
@@ -125,7 +188,18 @@ async fn admit(app: &App, headers: &HeaderMap) -> HandlerResult<()> {
     if announced.is_some_and(|n| n > limits.max_upload.saturating_add(MAX_OPTIONS_BYTES as u64 * 2)) {
         return Err(too_large(limits.max_upload));
     }
-    let stored = app.jobs.queue.stored_bytes().await?;
+    if let (Some(most), Some(tenant)) = (caller.quotas().max_stored, caller.tenant_if_any()) {
+        let stored = app.jobs.queue.stored_bytes(Some(tenant)).await?;
+        let stored = stored.uploads.saturating_add(stored.artifacts);
+        if stored.saturating_add(announced.unwrap_or(0)) > most {
+            let detail = format!(
+                "the uploads and results of this tenant take {stored} bytes, and this key allows {most}: results expire by themselves, or are \
+                 deleted with their jobs"
+            );
+            return Err(Problem::new(Code::QuotaExceeded, detail));
+        }
+    }
+    let stored = app.jobs.queue.stored_bytes(None).await?;
     if stored.uploads.saturating_add(announced.unwrap_or(0)) > limits.max_waiting {
         let detail =
             format!("the jobs that wait hold {} of {} bytes; try again later", stored.uploads, limits.max_waiting);
@@ -149,15 +223,32 @@ async fn started(request: Request, limit: Duration) -> HandlerResult<Request> {
     Ok(Request::from_parts(head, Body::from_stream(futures_util::stream::iter(first).chain(body))))
 }
 
-/// The recipe that the query names.
-fn query(request: &Request) -> HandlerResult<Option<Value>> {
+/// What the query of a submission says.
+#[derive(Default)]
+struct UploadQuery {
+    recipe: Option<Value>,
+    validate_only: bool,
+}
+
+fn query(request: &Request) -> HandlerResult<UploadQuery> {
     let query: axum::extract::Query<Vec<(String, String)>> = axum::extract::Query::try_from_uri(request.uri())
         .map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
-    let mut recipe = None;
+    let (mut recipe, mut validate_only) = (None, None);
     for (key, value) in query.0 {
+        if key == "validate_only" {
+            let wanted = match value.as_str() {
+                "true" => true,
+                "false" => false,
+                _ => return Err(Problem::new(Code::InvalidRequest, "`validate_only` is true or false")),
+            };
+            if validate_only.replace(wanted).is_some() {
+                return Err(Problem::new(Code::InvalidRequest, "`validate_only` stands twice in the query"));
+            }
+            continue;
+        }
         if key != "recipe" {
             let detail = format!(
-                "unknown parameter `{}`: the query takes `recipe`, everything else stands in the `options` of a form",
+                "unknown parameter `{}`: the query takes `recipe` and `validate_only`, everything else stands in the `options` of a form",
                 truncated(&key)
             );
             return Err(Problem::new(Code::InvalidRequest, detail));
@@ -166,7 +257,7 @@ fn query(request: &Request) -> HandlerResult<Option<Value>> {
             return Err(Problem::new(Code::InvalidRequest, "`recipe` stands twice in the query"));
         }
     }
-    Ok(recipe)
+    Ok(UploadQuery { recipe, validate_only: validate_only.unwrap_or(false) })
 }
 
 /// Options with the recipe that the query names.
@@ -407,6 +498,23 @@ impl<'a> IncomingUpload<'a> {
         hex::encode(hash.finalize())
     }
 
+    /// What the result follows from, where it may be reused: equal options, files, limits and programs give equal bytes, unless there is a
+    /// limit on time. What is only returned or told is no part of it.
+    async fn result_key(&self, options: &Value) -> Option<String> {
+        if options.get("reuse") != Some(&Value::Bool(true)) || options.get("time_limit_s").is_some_and(|s| !s.is_null())
+        {
+            return None;
+        }
+        let build = build().await?;
+        let mut options = options.as_object()?.clone();
+        for told in ["reuse", "webhook", "metadata"] {
+            options.remove(told);
+        }
+        let limits = crate::asset::Limits::from(&self.app.jobs.limits);
+        let all = format!("{build}\n{limits:?}\n{}", self.fingerprint(&Value::Object(options)));
+        Some(hex::encode(Sha256::digest(all)))
+    }
+
     fn take(&mut self) -> Manifest {
         self.taken = true;
         std::mem::take(&mut self.manifest)
@@ -441,7 +549,7 @@ fn relative(path: &str) -> HandlerResult<String> {
     Ok(path.to_owned())
 }
 
-fn media_type(headers: &HeaderMap) -> String {
+pub(super) fn media_type(headers: &HeaderMap) -> String {
     let value = headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or("");
     truncated(value.split(';').next().unwrap_or("").trim()).to_ascii_lowercase()
 }
@@ -450,7 +558,7 @@ fn truncated(text: &str) -> String {
     text.chars().take(100).collect()
 }
 
-fn stalled() -> Problem {
+pub(super) fn stalled() -> Problem {
     let problem = Problem::new(Code::InvalidRequest, "the upload stood still, or was too slow, for too long");
     problem.with_status(axum::http::StatusCode::REQUEST_TIMEOUT)
 }

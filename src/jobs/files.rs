@@ -236,6 +236,11 @@ impl Files {
     }
 }
 
+/// Where an artifact of a job is fetched.
+pub(super) fn href(job: &str, name: &str) -> String {
+    format!("/v1/jobs/{job}/artifacts/{}", utf8_percent_encode(name, SEGMENT))
+}
+
 /// The entries of a result's files, in the same order.
 pub fn entries(job: &str, artifacts: &[Artifact]) -> Vec<ArtifactEntry> {
     let entry = |artifact: &Artifact| ArtifactEntry {
@@ -244,7 +249,7 @@ pub fn entries(job: &str, artifacts: &[Artifact]) -> Vec<ArtifactEntry> {
         media_type: artifact.media_type.clone(),
         bytes: artifact.bytes.len() as u64,
         sha256: hex::encode(Sha256::digest(&artifact.bytes)),
-        href: Some(format!("/v1/jobs/{job}/artifacts/{}", utf8_percent_encode(&artifact.name, SEGMENT))),
+        href: Some(href(job, &artifact.name)),
         expired: false,
     };
     artifacts.iter().map(entry).collect()

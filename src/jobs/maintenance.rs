@@ -21,6 +21,7 @@ impl Jobs {
                 back.extend(self.queue.recover(Some(owner), self.files.owner()).await?);
             }
         }
+        self.telemetry.leases_lost.inc_by(back.len() as u64);
         for (job, state) in back {
             tracing::warn!(%job, state = state.as_str(), "took back a job whose worker is gone");
             if state == JobState::Queued {
@@ -70,6 +71,7 @@ impl Jobs {
             self.files.remove_dead_workers();
         }
         let purged = self.queue.purge(now.minus(self.limits.keep_jobs)).await?;
+        self.webhooks.store.purge_deliveries(now.minus(self.limits.keep_jobs)).await?;
         for job in self.files.untouched(ORPHANED_AFTER).iter().filter(|_| !self.foreign) {
             if !self.queue.needs_upload(job).await? {
                 self.files.remove_uploads(job);

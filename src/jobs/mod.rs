@@ -8,6 +8,7 @@ pub mod backup;
 pub mod files;
 mod health;
 pub mod hub;
+pub mod keys;
 mod maintenance;
 pub mod queue;
 pub mod record;
@@ -16,35 +17,74 @@ mod storage;
 mod stored_options;
 mod system;
 pub mod telemetry;
+pub mod webhooks;
 mod worker;
 
+use std::io::Read;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::Notify;
+use sha2::{Digest, Sha256};
+use tokio::sync::{Notify, OnceCell};
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 use self::telemetry::Telemetry;
-use crate::config::{Limits, Storage, Work};
+use crate::config::{Limits, Storage, Webhooks, Work};
 use crate::error::{Code, Failure, Result};
 pub use apart::attempt;
 use files::Files;
 use health::Health;
 use hub::Hub;
+use keys::KeyStore;
 use queue::sqlite::Sqlite;
 use queue::{CancelReply, NewJob, Queue, Submitted};
 use record::{ArtifactEntry, Job, JobState};
 use slots::{SMALL, Slots};
+use webhooks::Deliverer;
 
 /// How often a job that this process does not run is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
+/// How a submission was taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Taken {
+    /// As a new job.
+    New,
+    /// As a new job, which has the result of an equal one.
+    Reused,
+    /// It was known by its key.
+    Known,
+}
+
+/// What tells this build from all others: the hash of its program. `None` where it cannot be read.
+pub async fn build() -> Option<&'static str> {
+    static BUILD: OnceCell<Option<String>> = OnceCell::const_new();
+    let hash = || {
+        let mut program = std::fs::File::open(std::env::current_exe().ok()?).ok()?;
+        let mut hash = Sha256::new();
+        let mut part = vec![0; 1 << 20];
+        loop {
+            match program.read(&mut part).ok()? {
+                0 => break,
+                n => hash.update(part.get(..n)?),
+            }
+        }
+        Some(hex::encode(hash.finalize()))
+    };
+    let build = BUILD.get_or_init(|| async { tokio::task::spawn_blocking(hash).await.ok().flatten() });
+    build.await.as_deref()
+}
+
 /// The jobs of a service.
 pub struct Jobs {
     /// The durable queue.
-    pub queue: Box<dyn Queue>,
+    pub queue: Arc<dyn Queue>,
+    /// The API keys.
+    pub keys: Arc<dyn KeyStore>,
+    /// Who is told of jobs that have ended.
+    pub webhooks: Arc<Deliverer>,
     /// The data folder.
     pub files: Files,
     /// What is known between two writes.
@@ -72,8 +112,15 @@ impl Jobs {
     /// Opens the data folder and takes back what dead processes left running.
     ///
     /// # Errors
-    /// `insufficient_storage`, `unavailable`: the disk or the queue's file; `internal`: threads that cannot be had.
-    pub async fn open(data: &Path, work: &Work, limits: Limits, storage: &Storage) -> Result<Arc<Self>> {
+    /// `insufficient_storage`, `unavailable`: the disk or the queue's file; `internal`: threads that cannot be had; `invalid_options`: a
+    /// secret of webhooks that is none.
+    pub async fn open(
+        data: &Path,
+        work: &Work,
+        limits: Limits,
+        storage: &Storage,
+        webhooks: &Webhooks,
+    ) -> Result<Arc<Self>> {
         let files = Files::open(data)?;
         let fresh = !files.queue().exists();
         let queue = Sqlite::open(&files.queue()).await?;
@@ -81,8 +128,11 @@ impl Jobs {
         let owned = files.own(&identity, fresh, storage.adopt_store)?;
         tracing::info!(store = identity, "the job queue is open");
         let slots = Slots::new(usize::from(work.jobs), work.threads, work.memory())?;
+        let queue = Arc::new(if slots.count() > 1 { queue.with_small(SMALL) } else { queue });
         let jobs = Jobs {
-            queue: Box::new(if slots.count() > 1 { queue.with_small(SMALL) } else { queue }),
+            queue: queue.clone(),
+            keys: queue.clone(),
+            webhooks: Arc::new(Deliverer::new(queue, webhooks)?),
             files,
             hub: Hub::default(),
             limits,
@@ -107,11 +157,11 @@ impl Jobs {
     }
 
     /// Takes a job whose upload is complete in [`Files::incoming`]. When this returns, it survives anything. A job whose key is known
-    /// is not stored again: the one of the key is given, and true.
+    /// is not stored again: the one of the key is given.
     ///
     /// # Errors
-    /// `queue_full`, `idempotency_mismatch`, `internal`; then the upload is removed.
-    pub async fn submit(&self, job: &NewJob) -> Result<(Job, bool)> {
+    /// `queue_full`, `quota_exceeded`, `idempotency_mismatch`, `internal`; then the upload is removed.
+    pub async fn submit(&self, job: &NewJob) -> Result<(Job, Taken)> {
         let id = &job.id;
         let stored = async {
             let (files, id) = (self.files.clone(), id.clone());
@@ -123,14 +173,22 @@ impl Jobs {
         };
         match stored.await {
             Ok(Submitted::New) => {
-                tracing::info!(job = %id, request = job.request, memory = job.memory, "job is queued");
+                let tenant = Some(&job.tenant).filter(|tenant| !tenant.is_empty());
+                tracing::info!(job = %id, tenant, request = job.request, memory = job.memory, "job is queued");
                 self.wake.notify_one();
-                Ok((self.get(id).await?, false))
+                Ok((self.get(id).await?, Taken::New))
+            }
+            Ok(Submitted::Reused) => {
+                tracing::info!(job = %id, request = job.request, "job has the result of an equal one");
+                self.telemetry.reused.inc();
+                self.hub.ended(id, JobState::Succeeded);
+                self.files.remove_uploads(id);
+                Ok((self.get(id).await?, Taken::Reused))
             }
             Ok(Submitted::Known(known)) => {
                 self.hub.ended(id, JobState::Canceled);
                 self.files.remove_uploads(id);
-                Ok((self.get(&known).await?, true))
+                Ok((self.get(&known).await?, Taken::Known))
             }
             Err(failure) => {
                 self.hub.ended(id, JobState::Canceled);
@@ -257,6 +315,7 @@ impl Jobs {
     }
 }
 
-fn unknown(id: &str) -> Failure {
+/// What is answered where there is no such job, or none that the caller may know of.
+pub fn unknown(id: &str) -> Failure {
     Failure::new(Code::NotFound, format!("there is no job `{}`", id.chars().take(64).collect::<String>()))
 }

@@ -116,7 +116,7 @@ pub struct Job {
     pub outcome: Option<RefinementOutcome>,
     /// How far it is.
     pub progress: Progress,
-    /// 1 for the job that runs next; null unless queued.
+    /// Its place among the jobs that wait: 1 for the one that runs next, among those of its tenant; null unless queued.
     #[schema(minimum = 1)]
     pub queue_position: Option<u64>,
     /// How often it was started.

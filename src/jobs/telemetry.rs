@@ -3,11 +3,12 @@
 use std::time::Duration;
 
 use prometheus::{
-    Encoder, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry, TextEncoder,
+    Encoder, Gauge, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry,
+    TextEncoder,
 };
 
 use super::queue::AttemptEnd;
-use super::record::JobState;
+use super::record::{JobState, Timestamp};
 use crate::error::{Failure, Result};
 
 /// Upper bounds of the buckets of job and stage times, in seconds.
@@ -26,12 +27,17 @@ pub struct Telemetry {
     response_seconds: HistogramVec,
     slots: IntGauge,
     memory: IntGauge,
+    oldest: Gauge,
     /// Bytes that were uploaded.
     pub received: IntCounter,
     /// Bytes of artifacts that were published.
     pub published: IntCounter,
     /// Processes of single jobs that died.
     pub deaths: IntCounter,
+    /// Jobs that have the result of an equal one.
+    pub reused: IntCounter,
+    /// Jobs that were taken back from workers.
+    pub leases_lost: IntCounter,
 }
 
 impl Telemetry {
@@ -87,6 +93,19 @@ impl Telemetry {
             )?,
             slots: gauge("jobs_running", "Jobs that this process runs")?,
             memory: gauge("memory_reserved_bytes", "Bytes that the jobs of this process are expected to need")?,
+            oldest: {
+                let name = "queue_oldest_age_seconds";
+                let made = Gauge::with_opts(opts(
+                    name,
+                    "Seconds that the job has waited that has waited longest, 0 where none does",
+                ))?;
+                registry.register(Box::new(made.clone())).map(|()| made)?
+            },
+            reused: counter("results_reused_total", "Jobs that were given the result of an equal one")?,
+            leases_lost: counter(
+                "leases_lost_total",
+                "Jobs that this process took back because their worker was gone or did not renew its lease",
+            )?,
             received: counter("upload_bytes_total", "Bytes of uploads")?,
             published: counter("artifact_bytes_total", "Bytes of published artifacts")?,
             deaths: counter("job_deaths_total", "Processes of single jobs that died under this one")?,
@@ -111,11 +130,18 @@ impl Telemetry {
         self.response_seconds.with_label_values(&[method, route]).observe(took.as_secs_f64());
     }
 
-    /// The text that Prometheus reads, with how the queue and the slots are now.
+    /// The text that Prometheus reads, with how the queue and the slots are now; `since` is when the oldest job began to wait.
     ///
     /// # Errors
     /// `internal`.
-    pub fn text(&self, counts: &[(JobState, u64)], (slots, memory): (usize, u64)) -> Result<String> {
+    pub fn text(
+        &self,
+        counts: &[(JobState, u64)],
+        since: Option<Timestamp>,
+        (slots, memory): (usize, u64),
+    ) -> Result<String> {
+        let age = since.map_or(0, |since| (Timestamp::now().0 - since.0).max(0));
+        self.oldest.set(age as f64 / 1000.0);
         let whole = |n: u64| i64::try_from(n).unwrap_or(i64::MAX);
         for state in JobState::ALL {
             let count = counts.iter().find(|c| c.0 == state).map_or(0, |c| c.1);

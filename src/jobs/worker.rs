@@ -93,8 +93,9 @@ struct Computation {
 }
 
 impl Jobs {
-    /// Runs jobs, as many at once as there is capacity for, until the service shuts down and they have ended.
-    pub async fn work(self: Arc<Self>) {
+    /// Runs jobs, as many at once as there is capacity for, until the service shuts down and they have ended. With `exit_when_idle` it is
+    /// this that shuts the service down, when there is nothing to run.
+    pub async fn work(self: Arc<Self>, exit_when_idle: bool) {
         let mut running = JoinSet::new();
         while !self.shutdown.is_cancelled() {
             // What cannot be stored is not begun.
@@ -109,6 +110,10 @@ impl Jobs {
                     let span =
                         tracing::info_span!("job", id = %claim.id, attempt = claim.attempt, request = claim.request);
                     running.spawn(self.clone().run(claim, slot).instrument(span));
+                }
+                Ok(None) if exit_when_idle && running.is_empty() && self.ready().is_ok() => {
+                    tracing::info!("no job waits; stopping");
+                    self.shutdown.cancel();
                 }
                 Ok(None) => tokio::select! {
                     () = self.wake.notified() => {}

@@ -53,6 +53,12 @@ pub struct Options {
     pub strict: Vec<String>,
     /// Path of the model to take, where an archive holds several; null takes the only one.
     pub model: Option<String>,
+    /// Whether the result of an equal job of the same tenant that said so too may be taken, without running. Not with `time_limit_s`, nor
+    /// from another build. Of a service only.
+    pub reuse: bool,
+    /// URL that is told when the job has ended (Standard Webhooks); null tells nobody. Of a service only.
+    #[schema(max_length = 2048)]
+    pub webhook: Option<String>,
     /// Seed of every random choice.
     pub seed: u64,
     /// Limit on the work of searches, in units of work (reproducible); null is the stages' own.

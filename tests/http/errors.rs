@@ -22,6 +22,25 @@ fn problem(mut response: Response<Body>) -> Value {
 }
 
 #[test]
+fn a_submission_can_be_checked_without_being_stored() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &["--list-jobs"]);
+    let mut valid = server.submit_to("/v1/jobs?validate_only=true", &Form::sample().text("options", r#"{"seed": 7}"#));
+    assert_eq!(valid.status(), 200);
+    let told = json(&mut valid);
+    assert_eq!(
+        (&told["valid"], &told["options"]["seed"], &told["options"]["recipe"]),
+        (&json!(true), &json!(7), &json!("pack"))
+    );
+    assert!(told["memory_bytes"].as_u64().unwrap() > told["upload_bytes"].as_u64().unwrap());
+    let refused = server.submit_to("/v1/jobs?validate_only=true", &Form::sample().text("options", r#"{"sed": 7}"#));
+    assert_eq!(problem(refused)["code"], "invalid_options");
+    assert_eq!(server.submit_to("/v1/jobs?validate_only=maybe", &Form::sample()).status(), 400);
+    assert_eq!(json(&mut server.get("/v1/jobs", &[]))["jobs"], json!([]));
+    assert!(crate::server::left(data.path()).is_empty());
+}
+
+#[test]
 fn bad_submissions_are_told_what_is_wrong() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);

@@ -57,6 +57,19 @@ impl Server {
         headers.iter().fold(request, |r, (k, v)| r.header(*k, *v)).call().unwrap()
     }
 
+    /// A request without a body.
+    pub fn call(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> Response<Body> {
+        let request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", self.base));
+        let request = headers.iter().fold(request, |r, (k, v)| r.header(*k, *v));
+        self.agent.run(request.body(()).unwrap()).unwrap()
+    }
+
+    /// POST of a body with headers.
+    pub fn post_with(&self, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Response<Body> {
+        let request = self.agent.post(format!("{}{path}", self.base));
+        headers.iter().fold(request, |r, (k, v)| r.header(*k, *v)).send(body).unwrap()
+    }
+
     /// POST of a form with headers.
     pub fn submit_with(&self, form: &Form, headers: &[(&str, &str)]) -> Response<Body> {
         let (media_type, body) = form.encoded();

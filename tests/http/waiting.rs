@@ -53,6 +53,29 @@ fn a_request_sent_again_under_its_key_is_not_done_again() {
 }
 
 #[test]
+fn an_equal_job_has_the_result_of_the_first_at_once() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), &[]);
+    let form = |options: Value| Form::sample().text("options", &options.to_string());
+    let first = server.wait(&server.accepted(&form(json!({"reuse": true, "metadata": {"n": 1}}))));
+    let mut answer = server.submit(&form(json!({"reuse": true, "metadata": {"n": 2}})));
+    assert_eq!((answer.status().as_u16(), header(&answer, "result-reused")), (200, "true"));
+    let second = json(&mut answer);
+    assert_eq!(
+        (&second["state"], &second["attempt"], &second["metadata"]["n"]),
+        (&json!("succeeded"), &json!(0), &json!(2))
+    );
+    assert_ne!(first["id"], second["id"]);
+    assert_eq!(artifact(&first, "result.zip")["sha256"], artifact(&second, "result.zip")["sha256"]);
+    assert_eq!(server.delete(&format!("/v1/jobs/{}", first["id"].as_str().unwrap())).status(), 204);
+    let href = artifact(&second, "model.glb")["href"].as_str().unwrap().to_owned();
+    assert!(bytes(&mut server.get(&href, &[])).starts_with(b"glTF"), "it has the result also without the first");
+    for other in [json!({}), json!({"reuse": true, "seed": 1}), json!({"reuse": true, "time_limit_s": 100.0})] {
+        assert_eq!(server.submit(&form(other.clone())).status(), 202, "{other}");
+    }
+}
+
+#[test]
 fn equal_results_are_stored_once() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), &[]);

@@ -26,6 +26,11 @@ pub(in crate::jobs) async fn suite<Q: Queue + 'static>(mut make: impl AsyncFnMut
     objects_live_as_long_as_somebody_needs_them(&make().await).await;
     progress_stages_and_warnings_are_kept(&make().await).await;
     pages_hold_every_job_once(&make().await).await;
+    an_equal_job_has_the_result_of_the_first(&make().await).await;
+    tenants_see_their_own_jobs(&make().await).await;
+    tenants_take_turns_and_small_jobs_come_first(&make().await).await;
+    what_has_waited_for_too_long_comes_before_what_is_small(&make().await).await;
+    a_tenant_runs_as_many_jobs_as_it_may(&make().await).await;
     every_store_has_an_identity_of_its_own(&make().await, &make().await).await;
 }
 
@@ -158,13 +163,14 @@ async fn bytes_are_counted_while_they_are_stored(queue: &impl Queue) {
     for id in ["a", "b"] {
         queue.submit(&NewJob { bytes: 10, ..new(id) }, 9).await.unwrap();
     }
-    assert_eq!(queue.stored_bytes().await, Ok(StoredBytes { uploads: 20, artifacts: 0 }));
+    assert_eq!(queue.stored_bytes(None).await, Ok(StoredBytes { uploads: 20, artifacts: 0 }));
+    assert!(queue.waits_since().await.unwrap().is_some_and(|since| since <= Timestamp::now()));
     let first = claim(queue, "w").await.unwrap();
     let end = AttemptEnd { artifacts: vec![entry("1"), entry("2")], ..ended(JobState::Succeeded) };
     assert_eq!(queue.finish(&first, &end, Duration::ZERO).await, Ok(true));
-    assert_eq!(queue.stored_bytes().await, Ok(StoredBytes { uploads: 10, artifacts: 2 }));
+    assert_eq!(queue.stored_bytes(None).await, Ok(StoredBytes { uploads: 10, artifacts: 2 }));
     queue.expire_artifacts().await.unwrap();
-    assert_eq!(queue.stored_bytes().await, Ok(StoredBytes { uploads: 10, artifacts: 0 }));
+    assert_eq!(queue.stored_bytes(None).await, Ok(StoredBytes { uploads: 10, artifacts: 0 }));
 }
 
 async fn a_copy_holds_all_and_nothing_changes_while_it_is_made(queue: &impl Queue) {
@@ -306,13 +312,124 @@ async fn pages_hold_every_job_once(queue: &impl Queue) {
     }
     let (mut seen, mut cursor) = (Vec::new(), None);
     loop {
-        let (page, next) = queue.list(Some(JobState::Queued), cursor, 2).await.unwrap();
+        let (page, next) =
+            queue.list(Listing { state: Some(JobState::Queued), cursor, limit: 2, tenant: None }).await.unwrap();
         seen.extend(page.into_iter().map(|j| j.id));
         let Some(next) = next else { break };
         cursor = Some(next);
     }
     assert_eq!(seen, ["4", "3", "2", "1", "0"]);
-    assert_eq!(queue.list(Some(JobState::Failed), None, 9).await.unwrap().0.len(), 0);
+    assert_eq!(
+        queue.list(Listing { state: Some(JobState::Failed), limit: 9, ..Listing::default() }).await.unwrap().0.len(),
+        0
+    );
+}
+
+async fn an_equal_job_has_the_result_of_the_first(queue: &impl Queue) {
+    let equal =
+        |tenant: &str, id: &str, key: &str| NewJob { result_key: Some(key.into()), keep: LEASE, ..of(tenant, id, 1) };
+    let (removed, none) = (Mutex::new(Vec::new()), Vec::<String>::new());
+    let remove = |object: &str| removed.lock().unwrap().push(object.to_owned());
+    assert_eq!(queue.submit(&equal("a", "first", "k"), 9).await, Ok(Submitted::New));
+    assert_eq!(queue.submit(&equal("a", "early", "k"), 9).await, Ok(Submitted::New), "there is no result yet");
+    let first = claim(queue, "w").await.unwrap();
+    queue.reserve(&first, &["1".into()]).await.unwrap();
+    let end = AttemptEnd {
+        artifacts: vec![entry("1")],
+        outcome: Some(RefinementOutcome::Refined),
+        ..ended(JobState::Succeeded)
+    };
+    assert_eq!(queue.finish(&first, &end, LEASE).await, Ok(true));
+    assert_eq!(queue.delete("early").await, Ok(true));
+
+    assert_eq!(queue.submit(&equal("a", "second", "k"), 9).await, Ok(Submitted::Reused));
+    assert_eq!(queue.submit(&equal("b", "third", "k"), 9).await, Ok(Submitted::New), "another tenant's");
+    assert_eq!(queue.submit(&equal("a", "fourth", "l"), 9).await, Ok(Submitted::New), "another job's");
+    let second = queue.get("second").await.unwrap().unwrap();
+    assert_eq!(
+        (second.state, second.attempt, second.outcome),
+        (JobState::Succeeded, 0, Some(RefinementOutcome::Refined))
+    );
+    assert_eq!(second.artifacts[0].href.as_deref(), Some("/v1/jobs/second/artifacts/a"));
+    assert_eq!(second.progress.fraction, 1.0);
+    // What both have stays until neither is there.
+    assert_eq!(queue.delete("first").await, Ok(true));
+    queue.collect(None, &[], UNEXPECTED).await.unwrap();
+    assert_eq!(queue.submit(&equal("a", "fifth", "k"), 9).await, Ok(Submitted::Reused), "of the second");
+    for id in ["second", "fifth"] {
+        assert_eq!(*removed.lock().unwrap(), none);
+        assert_eq!(queue.delete(id).await, Ok(true));
+        queue.collect(None, &[], &remove).await.unwrap();
+    }
+    assert_eq!(*removed.lock().unwrap(), ["1"]);
+    assert_eq!(queue.submit(&equal("a", "sixth", "k"), 9).await, Ok(Submitted::New), "there is none any more");
+}
+
+fn of(tenant: &str, id: &str, memory: u64) -> NewJob {
+    NewJob { tenant: tenant.into(), memory, bytes: 1, ..new(id) }
+}
+
+async fn tenants_see_their_own_jobs(queue: &impl Queue) {
+    let keyed = |tenant: &str, id: &str| NewJob { key: Some(("k".into(), "1".into())), ..of(tenant, id, 1) };
+    for (tenant, id) in [("a", "a1"), ("b", "b1"), ("", "n1")] {
+        assert_eq!(queue.submit(&keyed(tenant, id), 9).await, Ok(Submitted::New), "a key is its tenant's");
+        assert_eq!(queue.submit(&keyed(tenant, "x"), 9).await, Ok(Submitted::Known(id.into())));
+        assert_eq!(queue.tenant_of(id).await, Ok(Some(tenant.into())));
+    }
+    assert_eq!(queue.tenant_of("x").await, Ok(None));
+    for (tenant, wanted) in [(Some("a"), &["a1"][..]), (Some("c"), &[]), (None, &["n1", "b1", "a1"])] {
+        let (page, _) = queue.list(Listing { tenant, limit: 9, ..Listing::default() }).await.unwrap();
+        assert_eq!(page.iter().map(|j| j.id.as_str()).collect::<Vec<_>>(), wanted);
+        assert!(page.iter().all(|j| j.queue_position == Some(1)), "the place is among one's own");
+        let bytes = queue.stored_bytes(tenant).await.unwrap();
+        assert_eq!(bytes.uploads, wanted.len() as u64);
+    }
+    let third = NewJob { max_queued: Some(1), ..of("a", "a2", 1) };
+    assert_eq!(queue.submit(&third, 9).await.unwrap_err().code, Code::QuotaExceeded);
+    assert_eq!(queue.submit(&third, 3).await.unwrap_err().code, Code::QueueFull);
+    assert_eq!(queue.submit(&NewJob { max_queued: Some(2), ..third }, 9).await, Ok(Submitted::New));
+}
+
+async fn tenants_take_turns_and_small_jobs_come_first(queue: &impl Queue) {
+    for (tenant, id, memory) in [
+        ("a", "a-large", 100),
+        ("a", "a-small", 1),
+        ("a", "a-mid", 10),
+        ("b", "b1", 50),
+        ("", "n-large", 9),
+        ("", "n-small", 1),
+    ] {
+        queue.submit(&of(tenant, id, memory), 9).await.unwrap();
+    }
+    let mut order = Vec::new();
+    let patient = Capacity { patience: LEASE, ..Capacity::ANY };
+    while let Some(claimed) = queue.claim("w", LEASE, patient).await.unwrap() {
+        // Each has its own time, so that who was served last is known.
+        tokio::time::sleep(Duration::from_millis(3)).await;
+        order.push(claimed.id.clone());
+        queue.finish(&claimed, &ended(JobState::Succeeded), LEASE).await.unwrap();
+    }
+    assert_eq!(order, ["a-small", "b1", "n-large", "a-mid", "n-small", "a-large"]);
+}
+
+async fn what_has_waited_for_too_long_comes_before_what_is_small(queue: &impl Queue) {
+    queue.submit(&of("a", "large", 100), 9).await.unwrap();
+    tokio::time::sleep(Duration::from_millis(30)).await;
+    queue.submit(&of("a", "small", 1), 9).await.unwrap();
+    let capacity = Capacity { patience: Duration::from_millis(20), ..Capacity::ANY };
+    assert_eq!(queue.claim("w", LEASE, capacity).await.unwrap().unwrap().id, "large");
+}
+
+async fn a_tenant_runs_as_many_jobs_as_it_may(queue: &impl Queue) {
+    for (tenant, id) in [("a", "a1"), ("a", "a2"), ("b", "b1")] {
+        queue.submit(&NewJob { max_running: Some(1), ..of(tenant, id, 1) }, 9).await.unwrap();
+    }
+    let first = claim(queue, "w").await.unwrap();
+    let second = claim(queue, "w").await.unwrap();
+    assert_eq!((first.id.as_str(), second.id.as_str()), ("a1", "b1"));
+    assert!(claim(queue, "w").await.is_none());
+    queue.finish(&first, &ended(JobState::Succeeded), LEASE).await.unwrap();
+    assert_eq!(claim(queue, "w").await.unwrap().id, "a2");
 }
 
 async fn every_store_has_an_identity_of_its_own(queue: &impl Queue, other: &impl Queue) {

@@ -35,20 +35,29 @@ pub trait Queue: Send + Sync {
     /// What tells this store from all others, for as long as it lives: 128 random bits in hexadecimal digits.
     async fn identity(&self) -> Result<String>;
 
-    /// Stores a new job, unless `most` jobs wait (`queue_full`) or its key is known: then nothing is stored, and the job of the key is
-    /// named (`idempotency_mismatch` when that was another request). When this returns, the job survives anything.
+    /// Stores a new job, unless `most` jobs wait (`queue_full`), its tenant has as many waiting as it may (`quota_exceeded`), or its key is
+    /// known to its tenant: then nothing is stored, and the job of the key is named (`idempotency_mismatch` when that was another request).
+    /// When this returns, the job survives anything. Where a job of the same result key has a result, the new one has it too, and has ended.
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted>;
 
     /// A job.
     async fn get(&self, id: &str) -> Result<Option<Job>>;
 
-    /// A page of jobs, the newest first: those under `cursor`, and the next cursor.
-    async fn list(&self, state: Option<JobState>, cursor: Option<i64>, limit: u32) -> Result<(Vec<Job>, Option<i64>)>;
+    /// Whose a job is; empty for one of no tenant.
+    async fn tenant_of(&self, id: &str) -> Result<Option<String>>;
+
+    /// A page of jobs, the newest first, with the next cursor.
+    async fn list(&self, wanted: Listing<'_>) -> Result<(Vec<Job>, Option<i64>)>;
 
     /// Number of jobs by state; states without a job may be left out.
     async fn counts(&self) -> Result<Vec<(JobState, u64)>>;
 
-    /// Takes the job whose turn it is among those that there is capacity for.
+    /// Since when the job waits that has waited longest.
+    async fn waits_since(&self) -> Result<Option<Timestamp>>;
+
+    /// Takes the job whose turn it is among those that there is capacity for and that their tenants may run. Tenants take turns: first who
+    /// runs least, then who was served longest ago. Of one tenant, what has waited for longer than the patience of `capacity` comes first,
+    /// then the smallest; jobs of no tenant run as they came.
     async fn claim(&self, owner: &str, lease: Duration, capacity: Capacity) -> Result<Option<Claim>>;
 
     /// Renews the lease and notes how far the job is.
@@ -81,8 +90,8 @@ pub trait Queue: Send + Sync {
     /// `None` when it is not the worker's any more.
     async fn died(&self, claim: &Claim) -> Result<Option<JobState>>;
 
-    /// Bytes of the uploads of jobs that wait or run, and of all results that are kept.
-    async fn stored_bytes(&self) -> Result<StoredBytes>;
+    /// Bytes of the uploads of jobs that wait or run, and of all results that are kept: of one tenant, or of all.
+    async fn stored_bytes(&self, tenant: Option<&str>) -> Result<StoredBytes>;
 
     /// Whether the queue is where and what it was, and can be read and written; `deep` reads all of it.
     async fn check(&self, deep: bool) -> Result<()>;
@@ -113,6 +122,19 @@ pub trait Queue: Send + Sync {
 /// Removes an object.
 pub type Remove<'a> = &'a (dyn Fn(&str) + Send + Sync);
 
+/// Which jobs are listed.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Listing<'a> {
+    /// Only those of this tenant.
+    pub tenant: Option<&'a str>,
+    /// Only those in this state.
+    pub state: Option<JobState>,
+    /// Only those behind it.
+    pub cursor: Option<i64>,
+    /// At most so many.
+    pub limit: u32,
+}
+
 /// A job to store.
 #[derive(Debug, Clone, Default)]
 pub struct NewJob {
@@ -130,6 +152,24 @@ pub struct NewJob {
     pub key: Option<(String, String)>,
     /// The request that brought it.
     pub request: Option<String>,
+    /// Whose it is; empty for nobody's.
+    pub tenant: String,
+    /// Jobs of its tenant that may wait, with it.
+    pub max_queued: Option<u32>,
+    /// Jobs of its tenant that may run when it starts, with it.
+    pub max_running: Option<u32>,
+    /// What its result follows from, where it may be that of another job.
+    pub result_key: Option<String>,
+    /// How long artifacts of another job are kept for it.
+    pub keep: Duration,
+}
+
+impl NewJob {
+    /// The client's key as it is stored: each tenant has its own. No key of a client holds a line end.
+    fn stored_key(&self) -> Option<String> {
+        let (key, _) = self.key.as_ref()?;
+        Some(if self.tenant.is_empty() { key.clone() } else { format!("{}\n{key}", self.tenant) })
+    }
 }
 
 /// What became of a new job.
@@ -137,6 +177,8 @@ pub struct NewJob {
 pub enum Submitted {
     /// It is stored.
     New,
+    /// It is stored, and has the result of another.
+    Reused,
     /// The key is known, with the same request: this is its job.
     Known(String),
 }
@@ -244,6 +286,12 @@ pub enum CancelReply {
 /// What a full queue answers.
 pub fn queue_full() -> Failure {
     Failure::new(Code::QueueFull, "the queue is full; try again later")
+}
+
+/// What a tenant is answered that has as many jobs waiting as its key allows.
+pub(super) fn quota_of_waiting(most: u32) -> Failure {
+    let message = format!("this key lets {most} jobs wait, and so many do; submit again when some have started");
+    Failure::new(Code::QuotaExceeded, message)
 }
 
 /// The error of a job that was cancelled.

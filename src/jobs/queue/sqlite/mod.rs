@@ -1,7 +1,9 @@
 //! The queue in one SQLite file (WAL): for one machine, any number of processes. All SQL of jobs stands here and beside it.
 
+mod keys;
 mod migrations;
 mod rows;
+mod webhooks;
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -17,24 +19,50 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
 use self::migrations::MIGRATIONS;
 use self::rows::{job, json, parsed, states};
 use super::{
-    AttemptEnd, AttemptStatus, CancelReply, Capacity, Claim, HeartbeatReply, MAX_DEATHS, MAX_PROGRESS_LEAD, NewJob,
-    Queue, Remove, StoredBytes, Submitted, canceled, given_up, mismatch, queue_full,
+    AttemptEnd, AttemptStatus, CancelReply, Capacity, Claim, HeartbeatReply, Listing, MAX_DEATHS, MAX_PROGRESS_LEAD,
+    NewJob, Queue, Remove, StoredBytes, Submitted, canceled, given_up, mismatch, queue_full, quota_of_waiting,
 };
 use crate::context::Progress;
 use crate::error::{Code, Failure, Result};
-use crate::jobs::files::disk;
-use crate::jobs::record::{Job, JobState, Timestamp};
+use crate::jobs::files::{self, disk};
+use crate::jobs::record::{ArtifactEntry, Job, JobState, Timestamp};
 use crate::metrics::RefinementOutcome;
 
-/// The place of a job among those that wait: 1 is next. Small jobs do not wait for those that are not.
+/// The place of a job among those of its tenant that wait: 1 is next. Small jobs do not wait for those that are not.
 fn position(small: u64) -> String {
     let small = integer(small);
     format!(
         "CASE state WHEN 'queued' THEN (SELECT count(*) FROM jobs other
-           WHERE other.state = 'queued' AND (other.turn, other.seq) <= (jobs.turn, jobs.seq)
+           WHERE other.state = 'queued' AND other.tenant = jobs.tenant
+             AND (other.size, other.turn, other.seq) <= (jobs.size, jobs.turn, jobs.seq)
              AND (jobs.memory > {small} OR other.memory <= {small})) END AS position"
     )
 }
+
+/// The job whose turn it is, as [`Queue::claim`] says. Each tenant offers one job, found by an index, so that a long queue of one costs the
+/// others nothing. A job for which there is no capacity, and which has waited for too long, is overtaken by nobody.
+const NEXT: &str = "
+  WITH RECURSIVE
+  names(name) AS (
+    SELECT min(tenant) FROM jobs WHERE state = 'queued'
+    UNION ALL SELECT (SELECT min(tenant) FROM jobs WHERE state = 'queued' AND tenant > name) FROM names WHERE name IS NOT NULL),
+  tenants(name, running, served) AS MATERIALIZED (
+    SELECT name, (SELECT count(*) FROM jobs WHERE state = 'running' AND tenant = name),
+      (SELECT max(started_at) FROM jobs WHERE tenant = name) FROM names WHERE name IS NOT NULL),
+  first(turn, seq) AS MATERIALIZED (
+    SELECT turn, seq FROM jobs WHERE ?5 < ?4 AND state = 'queued' AND min(memory, ?4) > ?5 AND queued_at < ?7
+      AND (max_running IS NULL OR max_running > (SELECT running FROM tenants WHERE name = jobs.tenant))
+    ORDER BY turn, seq LIMIT 1),
+  free(seq, turn, tenant, size, queued_at) AS NOT MATERIALIZED (
+    SELECT seq, turn, tenant, size, queued_at FROM jobs own WHERE state = 'queued' AND min(memory, ?4) <= ?5 AND memory <= ?6
+      AND NOT EXISTS (SELECT 1 FROM first WHERE (first.turn, first.seq) < (own.turn, own.seq))
+      AND (max_running IS NULL OR max_running > (SELECT running FROM tenants WHERE name = own.tenant))),
+  offers(seq, running, served) AS (
+    SELECT coalesce(
+        (SELECT seq FROM free WHERE tenant = name AND name <> '' AND queued_at < ?7 ORDER BY queued_at, turn, seq LIMIT 1),
+        (SELECT seq FROM free WHERE tenant = name ORDER BY size, turn, seq LIMIT 1)), running, served
+    FROM tenants)
+  SELECT seq FROM offers WHERE seq IS NOT NULL ORDER BY running, served, seq LIMIT 1";
 
 /// The queue.
 #[derive(Debug)]
@@ -170,35 +198,55 @@ impl Queue for Sqlite {
     }
 
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted> {
-        let (key, fingerprint) = job.key.as_ref().map(|(k, f)| (k.as_str(), f.as_str())).unzip();
+        let (key, fingerprint) = (job.stored_key(), job.key.as_ref().map(|(_, fingerprint)| fingerprint.as_str()));
+        let mut step = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
         let done = sqlx::query(
             "INSERT INTO jobs (id, state, turn, options, inputs, memory, key, fingerprint, request, created_at, queued_at, progress,
-               upload_bytes)
-             SELECT ?1, 'queued', (SELECT coalesce(max(turn), 0) + 1 FROM jobs WHERE state = 'queued'), ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8, ?10, ?11
+               upload_bytes, tenant, size, max_running, result_key)
+             SELECT ?1, 'queued', (SELECT coalesce(max(turn), 0) + 1 FROM jobs WHERE state = 'queued'), ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8, ?10, ?11,
+               ?12, CASE ?12 WHEN '' THEN 0 ELSE ?4 END, ?13, ?15
              WHERE (SELECT count(*) FROM jobs WHERE state = 'queued') < ?9
+               AND (?14 IS NULL OR (SELECT count(*) FROM jobs WHERE state = 'queued' AND tenant = ?12) < ?14)
              ON CONFLICT (key) DO NOTHING",
         )
         .bind(&job.id)
         .bind(job.options.to_string())
         .bind(json(&job.inputs)?)
         .bind(integer(job.memory))
-        .bind(key)
+        .bind(&key)
         .bind(fingerprint)
         .bind(&job.request)
         .bind(Timestamp::now().0)
         .bind(most)
         .bind(json(&Progress::default())?)
         .bind(integer(job.bytes))
-        .execute(self.pool()?)
+        .bind(&job.tenant)
+        .bind(job.max_running)
+        .bind(job.max_queued)
+        .bind(&job.result_key)
+        .execute(&mut *step)
         .await?;
         if done.rows_affected() > 0 {
-            return Ok(Submitted::New);
+            let reused = match &job.result_key {
+                Some(key) => reuse(&mut step, job, key).await?,
+                None => false,
+            };
+            step.commit().await?;
+            return Ok(if reused { Submitted::Reused } else { Submitted::New });
         }
+        step.rollback().await?;
         let known = sqlx::query("SELECT id, fingerprint FROM jobs WHERE key = ?1")
-            .bind(key)
+            .bind(&key)
             .fetch_optional(self.pool()?)
             .await?;
-        let Some(row) = known else { return Err(queue_full()) };
+        let Some(row) = known else {
+            let sql = "SELECT count(*) FROM jobs WHERE state = 'queued'";
+            let waiting: i64 = sqlx::query(sql).fetch_one(&self.pool).await?.try_get(0)?;
+            return Err(match job.max_queued {
+                Some(of_tenant) if waiting < i64::from(most) => quota_of_waiting(of_tenant),
+                _ => queue_full(),
+            });
+        };
         let before: Option<String> = row.try_get(1)?;
         if before.as_deref() == fingerprint { Ok(Submitted::Known(row.try_get(0)?)) } else { Err(mismatch()) }
     }
@@ -209,9 +257,17 @@ impl Queue for Sqlite {
         row.as_ref().map(job).transpose()
     }
 
-    async fn list(&self, state: Option<JobState>, cursor: Option<i64>, limit: u32) -> Result<(Vec<Job>, Option<i64>)> {
+    async fn tenant_of(&self, id: &str) -> Result<Option<String>> {
+        let row = sqlx::query("SELECT tenant FROM jobs WHERE id = ?1").bind(id).fetch_optional(&self.pool).await?;
+        Ok(row.map(|row| row.try_get(0)).transpose()?)
+    }
+
+    async fn list(&self, wanted: Listing<'_>) -> Result<(Vec<Job>, Option<i64>)> {
+        let Listing { tenant, state, cursor, limit } = wanted;
+        // A tenant's jobs have an index of their own; without one, all are looked through.
+        let of_tenant = if tenant.is_some() { "tenant = ?4" } else { "?4 IS NULL" };
         let sql = format!(
-            "SELECT *, {} FROM jobs WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR seq < ?2)
+            "SELECT *, {} FROM jobs WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR seq < ?2) AND {of_tenant}
              ORDER BY seq DESC LIMIT ?3",
             position(self.small)
         );
@@ -219,6 +275,7 @@ impl Queue for Sqlite {
             .bind(state.map(JobState::as_str))
             .bind(cursor)
             .bind(limit)
+            .bind(tenant)
             .fetch_all(&self.pool)
             .await?;
         let jobs = rows.iter().map(job).collect::<Result<Vec<_>>>()?;
@@ -234,27 +291,30 @@ impl Queue for Sqlite {
         Ok(counts.into_iter().filter_map(|(s, n)| Some((JobState::from_name(&s)?, n.unsigned_abs()))).collect())
     }
 
+    async fn waits_since(&self) -> Result<Option<Timestamp>> {
+        let sql = "SELECT min(queued_at) FROM jobs WHERE state = 'queued'";
+        let row = sqlx::query(sql).fetch_one(&self.pool).await?;
+        Ok(row.try_get::<Option<i64>, _>(0)?.map(Timestamp))
+    }
+
     async fn claim(&self, owner: &str, lease: Duration, capacity: Capacity) -> Result<Option<Claim>> {
         let now = Timestamp::now();
-        let rows = sqlx::query(
+        let sql = format!(
             "UPDATE jobs SET state = 'running', attempt = attempt + 1, owner = ?1, lease_until = ?2, started_at = ?3,
                warnings = '[]', timings = '[]', stages = '[]'
-             WHERE state = 'queued' AND seq = (
-               SELECT seq FROM jobs own WHERE state = 'queued' AND min(memory, ?4) <= ?5 AND memory <= ?6
-                 AND NOT EXISTS (SELECT 1 FROM jobs first WHERE first.state = 'queued'
-                   AND (first.turn, first.seq) < (own.turn, own.seq) AND min(first.memory, ?4) > ?5 AND first.queued_at < ?7)
-               ORDER BY turn, seq LIMIT 1)
+             WHERE state = 'queued' AND seq = ({NEXT})
              RETURNING id, attempt, options, inputs, progress, memory, request, suspect",
-        )
-        .bind(owner)
-        .bind(now.plus(lease).0)
-        .bind(now.0)
-        .bind(integer(capacity.total))
-        .bind(integer(capacity.free))
-        .bind(integer(capacity.most))
-        .bind(now.minus(capacity.patience).0)
-        .fetch_all(self.pool()?)
-        .await?;
+        );
+        let rows = sqlx::query(AssertSqlSafe(sql))
+            .bind(owner)
+            .bind(now.plus(lease).0)
+            .bind(now.0)
+            .bind(integer(capacity.total))
+            .bind(integer(capacity.free))
+            .bind(integer(capacity.most))
+            .bind(now.minus(capacity.patience).0)
+            .fetch_all(self.pool()?)
+            .await?;
         let Some(row) = rows.first() else { return Ok(None) };
         let progress: Value = parsed(row, "progress")?;
         Ok(Some(Claim {
@@ -419,11 +479,13 @@ impl Queue for Sqlite {
         Ok(states(&rows)?.pop().map(|(_, state)| state))
     }
 
-    async fn stored_bytes(&self) -> Result<StoredBytes> {
-        let row = sqlx::query(
-            "SELECT (SELECT coalesce(sum(upload_bytes), 0) FROM jobs WHERE state IN ('queued', 'running')),
-               (SELECT coalesce(sum(artifact_bytes), 0) FROM jobs WHERE artifacts_removed = 0)",
-        )
+    async fn stored_bytes(&self, tenant: Option<&str>) -> Result<StoredBytes> {
+        let of_tenant = if tenant.is_some() { "tenant = ?1" } else { "?1 IS NULL" };
+        let row = sqlx::query(AssertSqlSafe(format!(
+            "SELECT (SELECT coalesce(sum(upload_bytes), 0) FROM jobs WHERE state IN ('queued', 'running') AND {of_tenant}),
+               (SELECT coalesce(sum(artifact_bytes), 0) FROM jobs WHERE artifacts_removed = 0 AND {of_tenant})",
+        )))
+        .bind(tenant)
         .fetch_one(&self.pool)
         .await?;
         let bytes = |column: usize| Ok::<_, Failure>(row.try_get::<i64, _>(column)?.unsigned_abs());
@@ -542,6 +604,48 @@ impl Queue for Sqlite {
     }
 }
 
+/// Gives a new job the result of an equal one, where there is one; its artifacts stay as long as either job needs them.
+async fn reuse(step: &mut sqlx::SqliteConnection, job: &NewJob, key: &str) -> Result<bool> {
+    let now = Timestamp::now();
+    let source = sqlx::query(
+        "SELECT id, attempt, artifacts FROM jobs WHERE result_key = ?1 AND tenant = ?2 AND state = 'succeeded'
+           AND artifacts_removed = 0 AND artifacts_expire_at > ?3 ORDER BY seq DESC LIMIT 1",
+    )
+    .bind(key)
+    .bind(&job.tenant)
+    .bind(now.0)
+    .fetch_optional(&mut *step)
+    .await?;
+    let Some(source) = source else { return Ok(false) };
+    let (id, attempt): (String, i64) = (source.try_get("id")?, source.try_get("attempt")?);
+    let mut artifacts: Vec<ArtifactEntry> = parsed(&source, "artifacts")?;
+    for entry in &mut artifacts {
+        entry.href = Some(files::href(&job.id, &entry.name));
+    }
+    sqlx::query(
+        "INSERT INTO objects (sha256, job, attempt) SELECT sha256, ?1, 0 FROM objects WHERE job = ?2 AND attempt = ?3",
+    )
+    .bind(&job.id)
+    .bind(&id)
+    .bind(attempt)
+    .execute(&mut *step)
+    .await?;
+    sqlx::query(
+        "UPDATE jobs SET state = 'succeeded', finished_at = ?3, artifacts_expire_at = ?4, artifacts = ?5,
+           (progress, stages, warnings, artifact_bytes, outcome)
+             = (SELECT progress, stages, warnings, artifact_bytes, outcome FROM jobs WHERE id = ?2)
+         WHERE id = ?1",
+    )
+    .bind(&job.id)
+    .bind(&id)
+    .bind(now.0)
+    .bind(now.plus(job.keep).0)
+    .bind(json(&artifacts)?)
+    .execute(&mut *step)
+    .await?;
+    Ok(true)
+}
+
 /// A number as a column holds it.
 fn integer(number: u64) -> i64 {
     i64::try_from(number).unwrap_or(i64::MAX)
@@ -594,7 +698,13 @@ mod tests {
         let queue = queue.with_small(10);
         assert_eq!((place(&queue, "a").await, place(&queue, "b").await), (Some(1), Some(2)));
         assert_eq!((place(&queue, "large").await, place(&queue, "huge").await), (Some(1), Some(3)));
-        assert_eq!(queue.list(None, None, 9).await.unwrap().0[0].queue_position, Some(2));
+        assert_eq!(queue.list(Listing { limit: 9, ..Listing::default() }).await.unwrap().0[0].queue_position, Some(2));
+    }
+
+    #[tokio::test]
+    async fn it_keeps_keys() {
+        let root = tempfile::tempdir().unwrap();
+        crate::jobs::keys::conformance::suite(&Sqlite::open(&root.path().join("q")).await.unwrap()).await;
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 4)]

@@ -25,6 +25,9 @@ pub(super) const MIGRATIONS: &[Migration] = &[
     Migration { version: 2, sql: include_str!("2_jobs.sql") },
     Migration { version: 3, sql: include_str!("3_outcome_and_identity.sql") },
     Migration { version: 4, sql: include_str!("4_suspects_and_bytes.sql") },
+    Migration { version: 5, sql: include_str!("5_tenants_and_keys.sql") },
+    Migration { version: 6, sql: include_str!("6_webhooks.sql") },
+    Migration { version: 7, sql: include_str!("7_reuse.sql") },
 ];
 
 /// Fails for a store that this program cannot use. It is only read: a newer version's stays as it is.
