@@ -6,6 +6,7 @@ mod events;
 mod examples;
 mod health;
 mod jobs;
+pub mod page;
 mod prefer;
 mod preflight;
 pub mod problem;

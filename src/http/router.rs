@@ -20,7 +20,7 @@ use utoipa_axum::routes;
 
 use super::problem::Problem;
 use super::sites::{self, Sites};
-use super::{App, artifacts, document, events, health, jobs, recipes};
+use super::{App, artifacts, document, events, health, jobs, page, recipes};
 use crate::error::Code;
 
 /// How long a browser remembers what a page may send: the most that browsers take.
@@ -41,6 +41,8 @@ fn all_routes() -> OpenApiRouter<App> {
         .routes(routes!(health::ready))
         .routes(routes!(health::metrics))
         .routes(routes!(health::contract))
+        .routes(routes!(page::index))
+        .routes(routes!(page::part))
 }
 
 /// The service, for the pages and under the names of `sites`.

@@ -33,6 +33,8 @@ pub struct BakedSlot {
     pub verbatim_texels: u64,
     /// Fraction of the 3D area that was resampled.
     pub resampled_area: f64,
+    /// By face of the Atlas: whether its texels were copied. Empty where all were.
+    pub verbatim_face: Vec<bool>,
     /// The uploaded files against the delivered ones.
     pub fidelity: Fidelity,
     /// The same before encoding: what the layout alone cost.
@@ -73,7 +75,7 @@ impl<'a> Images<'a> {
     }
 
     /// The images of a slot, with its channels and bits, in the order of its sources.
-    fn decoded(&self, index: usize, slot: &Slot) -> Result<Vec<DynamicImage>> {
+    pub fn decoded(&self, index: usize, slot: &Slot) -> Result<Vec<DynamicImage>> {
         let mut images = Vec::new();
         for (member, own) in self.group.sources(index) {
             let image = member.set.slots[own].image;
@@ -91,7 +93,7 @@ impl<'a> Images<'a> {
 }
 
 /// Slots that are not exempt, and their indices.
-fn active(group: &Group) -> impl Iterator<Item = (usize, &Slot)> {
+pub fn active(group: &Group) -> impl Iterator<Item = (usize, &Slot)> {
     group.set().slots.iter().enumerate().filter(|(_, s)| !s.exempt)
 }
 
@@ -222,9 +224,17 @@ fn bake_slot(
         let files: Vec<BakedFile> = streamed.files.into_iter().map(file).collect();
         plan.warn(&kinds, files.iter().map(|f| f.bytes.len() as u64).sum(), context);
         let Streamed { verbatim_texels, fidelity, layout_fidelity, .. } = streamed;
-        return Ok(BakedSlot { slot: index, files, verbatim_texels, resampled_area: 0.0, fidelity, layout_fidelity });
+        return Ok(BakedSlot {
+            slot: index,
+            files,
+            verbatim_texels,
+            resampled_area: 0.0,
+            verbatim_face: Vec::new(),
+            fidelity,
+            layout_fidelity,
+        });
     }
-    let Baked { pages, verbatim_texels, resampled_area, .. } = bake(&job, context)?;
+    let Baked { pages, verbatim_texels, resampled_area, verbatim_face } = bake(&job, context)?;
     let job = Bake { after: delivered, ..job };
     let (layout, written) = rayon::join(
         || {
@@ -250,7 +260,15 @@ fn bake_slot(
         Some(pages) => uploaded.against(&pages, context)?,
         None => layout_fidelity,
     };
-    Ok(BakedSlot { slot: index, files: written, verbatim_texels, resampled_area, fidelity, layout_fidelity })
+    Ok(BakedSlot {
+        slot: index,
+        files: written,
+        verbatim_texels,
+        resampled_area,
+        verbatim_face,
+        fidelity,
+        layout_fidelity,
+    })
 }
 
 /// The pages as whoever opens their files sees them; none where these lose nothing. A page is dropped before its file is decoded.
@@ -270,7 +288,7 @@ fn as_delivered(pages: Vec<DynamicImage>, files: &[BakedFile]) -> Result<Option<
 }
 
 /// The file of a slot of a member.
-fn uploaded<'a>(loaded: &'a Loaded, member: &Member, own: usize) -> Option<&'a [u8]> {
+pub fn uploaded<'a>(loaded: &'a Loaded, member: &Member, own: usize) -> Option<&'a [u8]> {
     let model = loaded.models.get(member.model)?;
     model.doc.images.get(member.set.slots.get(own)?.image)?.as_deref()
 }
