@@ -26,7 +26,7 @@ function focusHeading() {
 
 const note = (kind, lead, ...content) => h("div", { className: `note ${kind}`, role: kind === "bad" ? "alert" : null }, h("strong", { className: "lead" }, lead), ...content);
 
-function told(error) {
+function explained(error) {
   const more = error instanceof Problem && error.errors.length > 0 ? h("ul", {}, error.errors.map((e) => h("li", {}, e.message, e.pointer ? [" ", h("code", {}, e.pointer)] : null))) : null;
   return [h("p", {}, error.message.replace(/^./, (c) => c.toUpperCase())), more];
 }
@@ -89,7 +89,7 @@ async function start() {
       asked.replaceChildren(options.element);
     } catch (error) {
       if (signal.aborted) return;
-      asked.replaceChildren(note("bad", "The service does not answer", ...told(error), h("p", {}, "Trying again…")));
+      asked.replaceChildren(note("bad", "The service does not answer", ...explained(error), h("p", {}, "Trying again…")));
       await new Promise((yes) => setTimeout(yes, wait));
     }
   }
@@ -102,7 +102,7 @@ async function submit(files, options, status) {
   try {
     wanted = options.read();
   } catch (error) {
-    status.replaceChildren(note("bad", "The options cannot be read", ...told(error)));
+    status.replaceChildren(note("bad", "The options cannot be read", ...explained(error)));
     return;
   }
   // What decides stands before what is large.
@@ -126,7 +126,7 @@ async function submit(files, options, status) {
   } catch (error) {
     main.replaceChildren(...before);
     document.title = title;
-    status.replaceChildren(error.name === "AbortError" ? note("warn", "The upload was stopped", h("p", {}, "Nothing was submitted.")) : note("bad", "The model was not taken", ...told(error)));
+    status.replaceChildren(error.name === "AbortError" ? note("warn", "The upload was stopped", h("p", {}, "Nothing was submitted.")) : note("bad", "The model was not taken", ...explained(error)));
     announce(error.message);
     status.scrollIntoView({ block: "nearest" });
   }
@@ -144,7 +144,7 @@ async function followJob(id) {
   const stop = async () => {
     cancel.disabled = true;
     cancel.textContent = "Cancelling…";
-    await call(`v1/jobs/${id}/cancel`, { method: "POST" }).catch((error) => { if (error.status !== 409) { cancel.disabled = false; cancel.textContent = "Cancel the job"; lost.replaceChildren(note("bad", "It was not cancelled", ...told(error))); } });
+    await call(`v1/jobs/${id}/cancel`, { method: "POST" }).catch((error) => { if (error.status !== 409) { cancel.disabled = false; cancel.textContent = "Cancel the job"; lost.replaceChildren(note("bad", "It was not cancelled", ...explained(error))); } });
   };
   let job = null;
   const known = [], warned = [];
@@ -182,7 +182,7 @@ async function followJob(id) {
       show("Unknown job", h("section", { className: "card" }, h("h1", {}, "There is no such job"), h("p", {}, "It may have been deleted, or be too old: the service keeps jobs for a while only."), h("a", { className: "button primary", href: "./" }, "Refine a model")));
       return focusHeading();
     }
-    lost.replaceChildren(note("bad", "The job cannot be followed", ...told(error)));
+    lost.replaceChildren(note("bad", "The job cannot be followed", ...explained(error)));
     return;
   }
   if (!signal.aborted) await ended(id, name, job, signal);
@@ -215,7 +215,7 @@ async function ended(id, name, job, signal) {
     result(report, job, preview, downloads, name);
   } catch (error) {
     if (signal.aborted) return;
-    show("Result", h("section", { className: "card" }, h("h1", {}, "The result cannot be shown"), note("bad", "The service did not give it", ...told(error)), h("a", { className: "button", href: location.href }, "Try again")));
+    show("Result", h("section", { className: "card" }, h("h1", {}, "The result cannot be shown"), note("bad", "The service did not give it", ...explained(error)), h("a", { className: "button", href: location.href }, "Try again")));
     focusHeading();
   }
 }

@@ -48,7 +48,7 @@ export function sentence(report, job) {
   if (packing?.better && said.length < 2) said.push(`charts cover ${percent(a.packing_efficiency, 0)} of their box instead of ${percent(b.packing_efficiency, 0)}`);
   const f = fidelity(report);
   if (f.exact) said.push("and no colour changed");
-  else if (f.psnr !== null && f.psnr >= 40) said.push("and colours are as good as the same");
+  else if (f.psnr !== null && f.psnr >= 40) said.push("and colours look the same");
   else if (f.psnr !== null) said.push("and colours changed a little");
   const start = report.outcome === "partly_refined" ? "Partly refined: " : "Refined: ";
   return said.length ? `${start}${said.join(", ").replace(/, and/, " and")}.` : `${start}the layout is another, its figures are the same.`;
@@ -80,7 +80,7 @@ export function buildVerdict(report, job, downloads) {
     h("p", {}, job.error.message), failures.length ? h("div", { className: "scroll", tabIndex: 0, role: "region", "aria-label": "Requirements" }, h("table", { className: "failures" }, h("thead", {}, h("tr", {}, h("th", {}, "Figure"), h("th", {}, "Wanted"), h("th", { className: "n" }, "Got"))),
       h("tbody", {}, failures.map((x) => h("tr", {}, h("td", {}, h("code", {}, x.path)), h("td", {}, x.wanted), h("td", { className: "n" }, x.got === null ? "undefined" : significant(x.got, 5), x.detail ? ` (${x.detail})` : "")))))) : null);
   return h("section", { className: "card verdict", "aria-label": "Verdict" }, h("h1", { tabIndex: -1, id: "verdict" }, sentence(report, job)),
-    h("p", { className: "soft" }, `${report.input.name} · ${count(report.input.triangles)} triangles · ${count(report.input.images)} images · ${bytes(report.input.bytes)} uploaded`),
+    h("p", { className: "soft" }, `${report.input.name} · ${count(report.input.triangles)} triangles · ${count(report.input.images)} ${report.input.images === 1 ? "image" : "images"} · ${bytes(report.input.bytes)} uploaded`),
     missed, h("dl", { className: "figures" }, figures), warnings(report.warnings), downloads, allFigures(report));
 }
 
