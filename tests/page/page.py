@@ -329,9 +329,9 @@ def test_a_service_that_goes_away_and_comes_back(bench):
         job_of(page)
         page.wait_for_selector("ol.stages li")
         bench.service.stop(hard=True)
-        page.get_by_text("The connection to the service is lost").wait_for(timeout=LONG)
+        page.get_by_text("The connection to the service is lost", exact=True).wait_for(timeout=LONG)
         bench.service.start()
-        expect(page.get_by_text("The connection to the service is lost")).to_have_count(0, timeout=LONG)
+        expect(page.get_by_text("The connection to the service is lost", exact=True)).to_have_count(0, timeout=LONG)
         # A reload in between finds the job again.
         page.reload()
         page.wait_for_selector("ol.stages li", timeout=LONG)
