@@ -94,8 +94,9 @@ class Bench:
 
     def shot(self, page, name, element=None):
         if self.screenshots:
-            path = self.screenshots / f"{name}.png"
-            (element or page).screenshot(path=path)
+            from PIL import Image
+            picture = Image.open(io.BytesIO((element or page).screenshot()))
+            picture.save(self.screenshots / f"{name}.webp", quality=80, method=6)
 
 
 def add_files(page, *paths):
