@@ -97,6 +97,8 @@ void main() {
 
 const NOT_LIT = 0xffffffff;
 const STRIDE = 44;
+/** Milliseconds that a view may take, of two in a frame. */
+const FLUENT = 14;
 /** A figure that a face does not have. */
 const UNKNOWN = -1000;
 
@@ -178,7 +180,7 @@ export function bounds(atlases, which) {
 export class ModelView {
   /** Throws where there is no WebGL 2. */
   constructor(canvas, orbit, handlers) {
-    Object.assign(this, { canvas, orbit, handlers, pointers: new Map(), textures: new Map(), buffers: [], lit: null });
+    Object.assign(this, { canvas, orbit, handlers, pointers: new Map(), textures: new Map(), buffers: [], lit: null, share: 1 });
     this.shown = { mode: "texture", wire: false, seams: false };
     const gl = (this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false, powerPreference: "high-performance" }));
     if (!gl) throw new Error("no WebGL 2");
@@ -294,13 +296,18 @@ export class ModelView {
     this.draw();
   }
 
-  draw() {
+  /** Draws soon; while the camera is `moving`, with as few pixels as keep it fluent, and all of them when it rests. */
+  draw(moving = false) {
+    this.moving = moving;
+    clearTimeout(this.rest);
+    if (moving) this.rest = setTimeout(() => this.draw(), 250);
     if (this.pending) return;
     this.pending = requestAnimationFrame(() => { this.pending = 0; this.render(); });
   }
 
   render() {
-    const { gl, canvas, orbit } = this, ratio = Math.min(devicePixelRatio || 1, 2);
+    const started = performance.now();
+    const { gl, canvas, orbit } = this, ratio = Math.min(devicePixelRatio || 1, 2) * (this.moving ? this.share : 1);
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
     if (!width || !height || gl.isContextLost()) return;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -336,6 +343,12 @@ export class ModelView {
       }
     }
     gl.bindVertexArray(null);
+    if (!this.moving) return;
+    // What is read has been drawn.
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    const took = performance.now() - started;
+    if (took > FLUENT) this.share = Math.max(0.25, this.share * 0.7);
+    else if (took < FLUENT / 3) this.share = Math.min(1, this.share * 1.15);
   }
 
   /** Atlas and face under a point of the canvas, in CSS pixels. */

@@ -93,7 +93,7 @@ export function buildViewer(preview, report) {
   // 3D.
   const solid = pair("model", "Drag or arrow keys turn, with Shift they move, the wheel or + and − zoom, 0 resets. Click a chart, or press Enter for the one in the middle, to light it everywhere.");
   const handlers = {
-    moved: () => SIDES.forEach((which) => models[which]?.draw()),
+    moved: () => SIDES.forEach((which) => models[which]?.draw(true)),
     reset: () => { orbit.reset(...bounds(atlases, "before")); handlers.moved(); },
     pick: (view, found) => {
       const side = of(view), layout = found && atlases[found.atlas][side].layout;
