@@ -415,6 +415,9 @@ pub struct Refine {
     /// Write pictures of the atlases, before and after, into this folder.
     #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
+    /// Write the page of the job here: figures, views of the atlas and of the model, before and after, in one file that opens without a service.
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
     /// Print the report to stdout.
     #[arg(long)]
     pub json: bool,

@@ -59,6 +59,7 @@ pub use limits::Limits;
 pub use load::{is_model_name, load, load_while, side_file};
 pub use material_index::MaterialIndex;
 pub use merge::{Counts, Merge, Merged, MergedMaterial, finish as finish_merge, prepare as prepare_merge};
+pub use nodes::mesh_instances;
 pub use options::{Compression, ReadOptions, Tiling, UvSet};
 pub use save::to_gltf;
 pub use side_files::read_paths;

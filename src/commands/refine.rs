@@ -9,6 +9,7 @@ use std::time::Duration;
 use intarsia::config::Refine;
 use intarsia::context::Context;
 use intarsia::error::{Code, Failure, Result};
+use intarsia::http::page;
 use intarsia::refine::options::Container;
 use intarsia::refine::run::{Artifact, Input, Outcome, refine};
 use serde_json::Value;
@@ -23,10 +24,13 @@ const SUMMARY: [&str; 5] = ["charts", "packing_efficiency", "utilisation", "text
 pub fn run(arguments: &Refine) -> Result<()> {
     let output = container(&arguments.output)?;
     super::check_output(&arguments.output)?;
-    arguments.report.iter().try_for_each(|path| super::check_output(path))?;
+    arguments.report.iter().chain(&arguments.html).try_for_each(|path| super::check_output(path))?;
     arguments.pictures.iter().try_for_each(|path| super::check_output_folder(path))?;
     let options = super::read_options(&arguments.options, Some(output))?;
-    let input = Input { extras: arguments.pictures.is_some(), ..super::read_input(&arguments.input, &options)? };
+    let input = Input {
+        extras: arguments.pictures.is_some() || arguments.html.is_some(),
+        ..super::read_input(&arguments.input, &options)?
+    };
     let limit = options.time_limit_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
     let teller = Arc::new(Teller::new(arguments.quiet));
     let context = Context::new(teller.clone(), Arc::new(AtomicBool::new(false)), options.seed).with_time_limit(limit);
@@ -41,6 +45,11 @@ pub fn run(arguments: &Refine) -> Result<()> {
     }
     if let Some(folder) = &arguments.pictures {
         write_pictures(folder, &outcome)?;
+    }
+    if let Some(path) = &arguments.html {
+        let preview = outcome.artifacts.iter().find(|a| a.role == "preview");
+        let preview = preview.ok_or_else(|| Failure::internal("the result has no preview"))?;
+        super::write(path, page::standalone(&outcome.report, &preview.bytes)?.as_bytes())?;
     }
     if arguments.json {
         super::print(&super::pretty(&outcome.report))?;

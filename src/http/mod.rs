@@ -9,6 +9,7 @@ mod examples;
 mod health;
 mod jobs;
 mod keys;
+pub mod page;
 mod prefer;
 mod preflight;
 pub mod problem;

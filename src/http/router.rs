@@ -20,7 +20,7 @@ use utoipa_axum::routes;
 
 use super::problem::Problem;
 use super::sites::{self, Sites};
-use super::{App, access, artifacts, document, events, health, jobs, keys, recipes, webhooks};
+use super::{App, access, artifacts, document, events, health, jobs, keys, page, recipes, webhooks};
 use crate::config::Role;
 use crate::error::Code;
 
@@ -55,6 +55,8 @@ fn service_routes() -> OpenApiRouter<App> {
         .routes(routes!(health::ready))
         .routes(routes!(health::metrics))
         .routes(routes!(health::contract))
+        .routes(routes!(page::index))
+        .routes(routes!(page::part))
 }
 
 /// The service, for the pages and under the names of `sites`; that of a worker takes no jobs.

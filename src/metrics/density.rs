@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::charts::is_degenerate;
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, FaceId};
 
 /// Texels of the largest slot per unit of mesh length, over triangles with an area: sqrt(UV area / 3D area).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -26,13 +26,14 @@ impl TexelDensity {
     }
 }
 
+/// The texel density of a face; none where it has no area.
+pub(crate) fn of_face(atlas: &Atlas, face: FaceId) -> Option<f64> {
+    let density = || (atlas.uv_area(face).abs() / atlas.area(face)).sqrt();
+    (!is_degenerate(atlas, face)).then(density).filter(|d| d.is_finite())
+}
+
 pub(super) fn of(atlas: &Atlas) -> TexelDensity {
-    let mut densities: Vec<f64> = atlas
-        .faces()
-        .filter(|&f| !is_degenerate(atlas, f))
-        .map(|f| (atlas.uv_area(f).abs() / atlas.area(f)).sqrt())
-        .filter(|d| d.is_finite())
-        .collect();
+    let mut densities: Vec<f64> = atlas.faces().filter_map(|f| of_face(atlas, f)).collect();
     let middle = densities.len() / 2;
     if densities.is_empty() {
         return TexelDensity::default();

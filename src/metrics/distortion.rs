@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 
 use super::charts::is_degenerate;
-use crate::atlas::{Atlas, orientation};
+use crate::atlas::{Atlas, FaceId, orientation};
 
 /// Sums of the symmetric Dirichlet energy over triangles of area A with singular values s1, s2.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -37,6 +37,22 @@ impl Strain {
         }
     }
 
+    /// Adds the map of a face from the surface to the UVs.
+    fn face(&mut self, atlas: &Atlas, face: FaceId) {
+        if is_degenerate(atlas, face) {
+            return;
+        }
+        let [a, b, c] = atlas.uv_triangle(face);
+        let [p, q, r] = atlas.triangle(face);
+        let (e, g): (DVec3, DVec3) = (q - p, r - p);
+        self.triangle(e.length_squared(), e.dot(g), g.length_squared(), b - a, c - a);
+    }
+
+    /// The square of the global scale at which the energy is least.
+    fn best_scale(&self) -> f64 {
+        (self.shrink / self.stretch).sqrt()
+    }
+
     /// The mean energy at the best global scale. Scaling by t gives t^2 stretch + t^-2 shrink, least at
     /// t^4 = shrink / stretch, where both terms are sqrt(stretch * shrink). `None` without triangles.
     pub(crate) fn energy(&self) -> Option<f64> {
@@ -48,13 +64,21 @@ impl Strain {
 /// From the surface to the UVs.
 pub(super) fn from_surface(atlas: &Atlas) -> Strain {
     let mut strain = Strain::default();
-    for f in atlas.faces().filter(|&f| !is_degenerate(atlas, f)) {
-        let [a, b, c] = atlas.uv_triangle(f);
-        let [p, q, r] = atlas.triangle(f);
-        let (e, g): (DVec3, DVec3) = (q - p, r - p);
-        strain.triangle(e.length_squared(), e.dot(g), g.length_squared(), b - a, c - a);
-    }
+    atlas.faces().for_each(|f| strain.face(atlas, f));
     strain
+}
+
+/// Symmetric Dirichlet energy by face, at the scale that is best for the whole: the area-weighted mean is that of [`from_surface`]. None
+/// for degenerate faces.
+pub(crate) fn by_face(atlas: &Atlas) -> Vec<Option<f64>> {
+    let scale = from_surface(atlas).best_scale();
+    let energy = |f: FaceId| {
+        let mut own = Strain::default();
+        own.face(atlas, f);
+        let energy = (own.stretch * scale + own.shrink / scale) / own.area;
+        (own.area > 0.0 && energy.is_finite()).then_some(energy)
+    };
+    atlas.faces().map(energy).collect()
 }
 
 /// From the UVs of `input` (the atlas as uploaded, whose faces provenance names) to those of `atlas`.

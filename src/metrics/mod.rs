@@ -18,7 +18,10 @@ mod raster;
 mod report;
 mod requirement;
 
+pub(crate) use charts::chart_orientations;
 pub use density::TexelDensity;
+pub(crate) use density::of_face as texel_density;
+pub(crate) use distortion::by_face as distortion_by_face;
 pub use gate::{Unmet, Verdict, check_path, judge, paths};
 pub(crate) use measures::gpu_bytes;
 pub use measures::{MeasureInputs, Measures, SlotSize, measure, roll_up, without_layout};

@@ -5,6 +5,7 @@ use std::io::Write as _;
 use super::fabrication::{FabricationParams, panels, worst_scale};
 use super::load::Loaded;
 use super::options::{Container, Options};
+use super::preview;
 use super::refinement::Refinement;
 use super::report::report;
 use super::run::{Artifact, Input, Outcome};
@@ -68,6 +69,8 @@ pub(super) fn deliver(
         }
         let archive = archive(&artifacts)?;
         artifacts.push(Artifact::new("result.zip", "archive", "application/zip", archive));
+        let preview = preview::preview(loaded, &refinements, input.limits.max_image_pixels, context)?;
+        artifacts.push(Artifact::new(preview::NAME, "preview", "application/octet-stream", preview));
     }
     Ok(Outcome { artifacts, report, outcome, verdict })
 }

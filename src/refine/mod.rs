@@ -17,6 +17,7 @@ pub mod options;
 mod output;
 mod pack;
 pub mod parse;
+mod preview;
 pub mod recipe;
 mod refinement;
 mod report;

@@ -23,7 +23,7 @@ pub struct Input {
     pub models: Vec<Vec<File>>,
     /// What is refused as too large.
     pub limits: Limits,
-    /// Whether textures and pictures are wanted as files of their own, and an archive of everything.
+    /// Whether textures and pictures are wanted as files of their own, an archive of all that, and the preview that a page draws.
     pub extras: bool,
 }
 
@@ -32,7 +32,7 @@ pub struct Input {
 pub struct Artifact {
     /// File name.
     pub name: String,
-    /// `model`, `side_file`, `report`, `texture`, `picture`, `fabrication` or `archive`.
+    /// `model`, `side_file`, `report`, `texture`, `picture`, `fabrication`, `archive` or `preview`.
     pub role: String,
     /// Media type.
     pub media_type: String,

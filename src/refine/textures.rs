@@ -32,6 +32,8 @@ pub struct BakedSlot {
     pub verbatim_texels: u64,
     /// Fraction of the 3D area that was resampled.
     pub resampled_area: f64,
+    /// By face of the Atlas: whether its texels were copied. Empty where all were.
+    pub verbatim_face: Vec<bool>,
     /// The uploaded files against the delivered ones.
     pub fidelity: Fidelity,
     /// The same before encoding: what the layout alone cost.
@@ -74,7 +76,7 @@ impl<'a> Images<'a> {
     }
 
     /// The images of a slot, with its channels and bits, in the order of its sources.
-    fn decoded(&self, index: usize, slot: &Slot) -> Result<Vec<DynamicImage>> {
+    pub fn decoded(&self, index: usize, slot: &Slot) -> Result<Vec<DynamicImage>> {
         let mut images = Vec::new();
         for (member, own) in self.group.sources(index) {
             let image = member.set.slots[own].image;
@@ -92,7 +94,7 @@ impl<'a> Images<'a> {
 }
 
 /// Slots that are not exempt, and their indices.
-fn active(group: &Group) -> impl Iterator<Item = (usize, &Slot)> {
+pub fn active(group: &Group) -> impl Iterator<Item = (usize, &Slot)> {
     group.set().slots.iter().enumerate().filter(|(_, s)| !s.exempt)
 }
 
@@ -224,18 +226,18 @@ fn bake_slot(
         let files: Vec<BakedFile> = streamed.files.into_iter().map(file).collect();
         let warnings = plan.warnings(&kinds, bytes(&files));
         let Streamed { verbatim_texels, fidelity, layout_fidelity, .. } = streamed;
-        let resampled_area = 0.0;
         return Ok(BakedSlot {
             slot: index,
             files,
             verbatim_texels,
-            resampled_area,
+            resampled_area: 0.0,
+            verbatim_face: Vec::new(),
             fidelity,
             layout_fidelity,
             warnings,
         });
     }
-    let Baked { pages, verbatim_texels, resampled_area, .. } = bake(&job, context)?;
+    let Baked { pages, verbatim_texels, resampled_area, verbatim_face } = bake(&job, context)?;
     let job = Bake { after: delivered, ..job };
     let (layout, written) = rayon::join(
         || {
@@ -261,7 +263,16 @@ fn bake_slot(
         Some(pages) => uploaded.against(&pages, context)?,
         None => layout_fidelity,
     };
-    Ok(BakedSlot { slot: index, files: written, verbatim_texels, resampled_area, fidelity, layout_fidelity, warnings })
+    Ok(BakedSlot {
+        slot: index,
+        files: written,
+        verbatim_texels,
+        resampled_area,
+        verbatim_face,
+        fidelity,
+        layout_fidelity,
+        warnings,
+    })
 }
 
 fn bytes(files: &[BakedFile]) -> u64 {
@@ -300,7 +311,7 @@ fn as_delivered(pages: Vec<DynamicImage>, files: &[BakedFile]) -> Result<Option<
 }
 
 /// The file of a slot of a member.
-fn uploaded<'a>(loaded: &'a Loaded, member: &Member, own: usize) -> Option<&'a [u8]> {
+pub fn uploaded<'a>(loaded: &'a Loaded, member: &Member, own: usize) -> Option<&'a [u8]> {
     let model = loaded.models.get(member.model)?;
     model.doc.images.get(member.set.slots.get(own)?.image)?.as_deref()
 }

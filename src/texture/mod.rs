@@ -35,6 +35,7 @@ pub use jpeg::JpegCoding;
 pub use options::{JpegQuality, Overflow, Size, Texture, TextureFormat, TextureFormats, WebpQuality};
 pub(crate) use pixels::from_samples;
 pub use pixels::{depth, neutral, texel, widened};
+pub(crate) use png::zlib;
 pub use slot::{Reading, Slot};
 pub use strips::{STREAMED_FROM, Streamed, bake_jpeg};
 pub(crate) use transfer::{linear_to_srgb, srgb_to_linear};

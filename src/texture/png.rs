@@ -72,7 +72,7 @@ pub(super) fn encode(image: &DynamicImage) -> Result<Vec<u8>> {
     let strategy = chosen(&layout, &samples)?;
     let filtered = filtered(strategy, &layout, &samples);
     let level = LEVELS.iter().find(|(bytes, _)| filtered.len() <= *bytes).map_or(LARGE, |(_, level)| *level);
-    let data = compressed(&filtered, level)?;
+    let data = zlib(&filtered, level)?;
     drop((filtered, samples));
     let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
     file.reserve_exact(data.len() + 4096);
@@ -230,7 +230,7 @@ fn chosen(layout: &Layout, samples: &[u8]) -> Result<Strategy> {
             let mut rows = Filter::new(*strategy, layout);
             (*start..(start + height).min(rows_of(layout, samples))).for_each(|y| rows.append(samples, y, &mut bytes));
         }
-        Ok(compressed(&bytes, TRIAL)?.len())
+        Ok(zlib(&bytes, TRIAL)?.len())
     };
     let sizes: Vec<Result<usize>> = STRATEGIES.par_iter().map(tried).collect();
     let sizes = sizes.into_iter().collect::<Result<Vec<usize>>>()?;
@@ -358,8 +358,9 @@ fn paeth(left: u8, above: u8, corner: u8) -> u8 {
     }
 }
 
-fn compressed(bytes: &[u8], level: i32) -> Result<Vec<u8>> {
-    let failed = |e: &dyn std::fmt::Debug| Failure::internal(format!("a PNG cannot be written: {e:?}"));
+/// A zlib stream (RFC 1950) of `bytes`, at a level in 1..=12.
+pub(crate) fn zlib(bytes: &[u8], level: i32) -> Result<Vec<u8>> {
+    let failed = |e: &dyn std::fmt::Debug| Failure::internal(format!("bytes cannot be compressed: {e:?}"));
     let mut compressor = Compressor::new(CompressionLvl::new(level).map_err(|e| failed(&e))?);
     let mut out = vec![0; compressor.zlib_compress_bound(bytes.len())];
     let size = compressor.zlib_compress(bytes, &mut out).map_err(|e| failed(&e))?;

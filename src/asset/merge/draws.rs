@@ -2,13 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use glam::{DMat4, DQuat, DVec3};
+use glam::{DMat4, DVec3};
 use serde_json::Value;
 
 use super::join::{joined, key};
 use super::shown;
 use crate::asset::Document;
 use crate::asset::json::{array, each_mut, keep, new_numbers, number, renumber};
+use crate::asset::nodes::{DEEPEST, local};
 use crate::asset::precision::{bounding_box, is_far, remoteness};
 use crate::asset::primitive::{declared_triangles, primitive_pointer};
 use crate::asset::read_vec3;
@@ -16,8 +17,6 @@ use crate::error::Result;
 
 /// A mesh that several nodes show is copied into another only where it has no more triangles than this.
 const MOST_COPIED: u64 = 256;
-/// Nodes below each other, at most.
-const DEEPEST: usize = 10_000;
 
 /// Puts primitives of each mesh together.
 ///
@@ -223,19 +222,4 @@ fn static_nodes(json: &Value) -> Vec<StaticNode> {
         }
     }
     out
-}
-
-/// A node's transform.
-fn local(node: &Value) -> DMat4 {
-    let numbers = |key: &str| -> Option<Vec<f64>> { node.get(key)?.as_array()?.iter().map(Value::as_f64).collect() };
-    if let Some(Ok(matrix)) = numbers("matrix").map(<[f64; 16]>::try_from) {
-        return DMat4::from_cols_array(&matrix);
-    }
-    let three = |key: &str, default: DVec3| {
-        numbers(key).and_then(|v| <[f64; 3]>::try_from(v).ok()).map_or(default, DVec3::from_array)
-    };
-    let rotation =
-        numbers("rotation").and_then(|v| <[f64; 4]>::try_from(v).ok()).map_or(DQuat::IDENTITY, DQuat::from_array);
-    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
-    DMat4::from_scale_rotation_translation(three("scale", DVec3::ONE), rotation, three("translation", DVec3::ZERO))
 }
