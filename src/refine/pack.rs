@@ -153,7 +153,7 @@ fn grid(sheet_info: &SheetInfo, options: &Options, pieces: &[Piece]) -> u32 {
     }
     let cost = if sheet_info.block == BASIS_BLOCK { KTX2_BLOCKS_COST } else { BLOCKS_COST };
     let cheap = |n: u32| {
-        let step = f64::from(n - fine) * unit;
+        let step = f64::from(n.saturating_sub(fine)) * unit;
         n > fine && around * step / 2.0 <= cost * area && longest + 4.0 * f64::from(n) * unit <= max
     };
     [sheet_info.block, sheet_info.block / 2]

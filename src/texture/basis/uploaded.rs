@@ -21,15 +21,16 @@ pub(super) enum Uploaded {
 impl Uploaded {
     /// Those of an ETC1S file; none where it cannot be read.
     pub(super) fn etc1s(file: &[u8], levels: u32, alpha: bool) -> Option<Self> {
-        let transcoder = Transcoder::new(file).ok()?;
-        let mut blocks = [Vec::new(), Vec::new()];
-        let slices = [DecodeFlags::NONE, DecodeFlags::TRANSCODE_ALPHA_TO_OPAQUE];
-        for level in 0..levels.max(1) {
-            for (blocks, flags) in blocks.iter_mut().zip(slices).take(1 + usize::from(alpha)) {
-                let bytes = transcoder.transcode(level, TargetFormat::Etc1Rgb, flags).ok()?;
+        let of = |file: &[u8]| -> Option<Vec<[u8; 8]>> {
+            let transcoder = Transcoder::new(file).ok()?;
+            let mut blocks = Vec::new();
+            for level in 0..levels.max(1) {
+                let bytes = transcoder.transcode(level, TargetFormat::Etc1Rgb, DecodeFlags::NONE).ok()?;
                 blocks.extend(bytes.as_chunks::<8>().0);
             }
-        }
+            Some(blocks)
+        };
+        let blocks = [of(file)?, if alpha { of(&alpha_as_colour(file, levels)?)? } else { Vec::new() }];
         Some(Uploaded::Etc1s(blocks))
     }
 
@@ -80,6 +81,26 @@ impl Uploaded {
         [endpoints, distinct(pairs().map(|(_, p)| p).collect()), pairs().count()]
     }
 }
+
+/// An ETC1S file whose colour is the alpha of another: the transcoder gives the blocks of colour alone.
+fn alpha_as_colour(file: &[u8], levels: u32) -> Option<Vec<u8>> {
+    let mut out = file.to_vec();
+    let global = usize::try_from(u64::from_le_bytes(out.get(64..72)?.try_into().ok()?)).ok()?;
+    for level in 0..levels.max(1) as usize {
+        let image = global.checked_add(GLOBAL_HEADER + IMAGE * level)?;
+        let image = out.get_mut(image..image + IMAGE)?;
+        // Flags, then where colour and alpha begin in the level, and how long they are.
+        image.copy_within(12..20, 4);
+        image[12..].fill(0);
+    }
+    out.get_mut(52..56)?.copy_from_slice(&ONE_SAMPLE.to_le_bytes());
+    Some(out)
+}
+
+/// Bytes of BasisLZ's global data before the images, of each image, and of a descriptor with one sample.
+const GLOBAL_HEADER: usize = 20;
+const IMAGE: usize = 20;
+const ONE_SAMPLE: u32 = 44;
 
 /// Where texel i of a block comes from in the eight ways in which a square can be laid on itself; first as it is.
 const SYMMETRIES: [fn(usize) -> usize; 8] = [
