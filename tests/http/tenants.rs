@@ -77,7 +77,8 @@ fn a_tenants_key_reaches_nothing_of_anothers_on_any_route() {
             let of_hook = route.starts_with("/v1/webhooks");
             let at = |id: &str| {
                 let id = if of_hook && id != none { &hook } else { id };
-                route.replace("{id}", id).replace("{name}", "model.glb").replace("{delivery}", "msg_1")
+                let name = if route.starts_with("/page/") { "app.js" } else { "model.glb" };
+                route.replace("{id}", id).replace("{name}", name).replace("{delivery}", "msg_1")
             };
             let method = method.to_uppercase();
             let mut found = call(&server, &method, &at(id), &other);

@@ -11,8 +11,23 @@ export class Problem extends Error {
 
 const pause = (ms, signal) => new Promise((yes) => { const timer = setTimeout(yes, ms); signal?.addEventListener("abort", () => { clearTimeout(timer); yes(); }, { once: true }); });
 
+const KEY = "intarsia.key";
+
+// The API key of this tab, where the service asks for one.
+let apiKey = null;
+try { apiKey = sessionStorage.getItem(KEY); } catch { /* It lasts as long as the page. */ }
+
+export const hasKey = () => Boolean(apiKey);
+
+export function useKey(key) {
+  apiKey = key;
+  try { sessionStorage.setItem(KEY, key); } catch { /* The same. */ }
+}
+
+const authorization = () => (apiKey ? { Authorization: `Bearer ${apiKey}` } : {});
+
 export async function call(path, options) {
-  const response = await fetch(path, options);
+  const response = await fetch(path, { ...options, headers: { ...options?.headers, ...authorization() } });
   if (!response.ok) throw new Problem(response.status, await response.json().catch(() => null));
   return response;
 }
@@ -24,6 +39,7 @@ export function upload(form, progress, signal) {
   return new Promise((yes, no) => {
     const request = new XMLHttpRequest();
     request.open("POST", "v1/jobs");
+    for (const [name, value] of Object.entries(authorization())) request.setRequestHeader(name, value);
     request.responseType = "json";
     request.upload.addEventListener("progress", (event) => event.lengthComputable && progress(event.loaded / event.total, event.total));
     request.addEventListener("load", () => (request.status < 300 ? yes(request.response) : no(new Problem(request.status, request.response))));

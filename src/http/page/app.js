@@ -1,6 +1,6 @@
 // The page: drop a model, follow its job, see what was won. The job is in the URL.
 
-import { Problem, call, follow, json, upload } from "./api.js";
+import { Problem, call, follow, hasKey, json, upload, useKey } from "./api.js";
 import { announce, bytes, count, h, percent } from "./dom.js";
 import { fromDrop, fromInput, isModel, missing } from "./files.js";
 import { buildOptions } from "./options.js";
@@ -28,7 +28,27 @@ const note = (kind, lead, ...content) => h("div", { className: `note ${kind}`, r
 
 function explained(error) {
   const more = error instanceof Problem && error.errors.length > 0 ? h("ul", {}, error.errors.map((e) => h("li", {}, e.message, e.pointer ? [" ", h("code", {}, e.pointer)] : null))) : null;
-  return [h("p", {}, error.message.replace(/^./, (c) => c.toUpperCase())), more];
+  return [h("p", {}, error.message.replace(/^./, (c) => c.toUpperCase())), more, error.status === 401 ? keyForm() : null];
+}
+
+function keyForm() {
+  const field = h("input", { type: "password", id: "key", autocomplete: "off", required: true });
+  const use = (event) => {
+    event.preventDefault();
+    useKey(field.value.trim());
+    if (location.search) location.reload();
+    else event.target.replaceWith(h("p", {}, "The key is used until this tab is closed. Refine once more."));
+  };
+  return h("form", { className: "row", onsubmit: use }, h("label", { htmlFor: "key" }, "API key"), field, h("button", { type: "submit" }, "Use it"));
+}
+
+/** Links carry no key: the file is fetched, and then given. */
+async function give(event, artifact) {
+  if (!hasKey()) return;
+  event.preventDefault();
+  const url = URL.createObjectURL(await (await call(artifact.href)).blob());
+  h("a", { href: url, download: artifact.name }).click();
+  setTimeout(() => URL.revokeObjectURL(url), 60_000);
 }
 
 // Jobs of this browser.
@@ -208,7 +228,7 @@ async function ended(id, name, job, signal) {
     const binary = artifact("preview.bin");
     const [report, preview] = await Promise.all([json(artifact("report.json").href, { signal }), binary ? call(binary.href, { signal }).then((r) => r.arrayBuffer()).then(readPreview).catch((error) => error) : null]);
     if (signal.aborted) return;
-    const link = (a, primary) => h("a", { className: primary ? "button primary" : "button", href: a.href, download: a.name }, primary ? `Download everything (${bytes(a.bytes)})` : `${a.name} (${bytes(a.bytes)})`);
+    const link = (a, primary) => h("a", { className: primary ? "button primary" : "button", href: a.href, download: a.name, onclick: (event) => give(event, a) }, primary ? `Download everything (${bytes(a.bytes)})` : `${a.name} (${bytes(a.bytes)})`);
     const own = (job.artifacts ?? []).filter((a) => !a.expired), zip = artifact("result.zip");
     const downloads = h("div", { className: "downloads" }, zip ? link(zip, true) : null, own.filter((a) => a.role === "model").map((a) => link(a)), again,
       h("details", {}, h("summary", {}, `All files (${own.length})`), h("div", { className: "downloads" }, own.filter((a) => a !== zip && a.role !== "model").map((a) => link(a)))));
