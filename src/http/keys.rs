@@ -43,7 +43,7 @@ fn with_keys(app: &App) -> HandlerResult<()> {
 }
 
 /// Lists the keys of all tenants; no token is told.
-#[utoipa::path(get, path = "/v1/keys", tag = "keys", responses(
+#[utoipa::path(get, path = "/v1/keys", tag = "keys", operation_id = "list_keys", responses(
     (status = 200, description = "All of them", body = KeyList, example = json!(examples::keys())),
     (status = 404, description = "The service has no keys", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn list(State(app): State<App>) -> HandlerResult {
@@ -53,7 +53,7 @@ pub(super) async fn list(State(app): State<App>) -> HandlerResult {
 }
 
 /// Makes a key. Its token is in this answer and nowhere else.
-#[utoipa::path(post, path = "/v1/keys", tag = "keys",
+#[utoipa::path(post, path = "/v1/keys", tag = "keys", operation_id = "create_key",
     request_body(content = NewKey, example = json!(examples::new_key())),
     responses(
         (status = 201, description = "The key and its token", body = MadeKey, example = json!(examples::made_key())),
@@ -70,7 +70,7 @@ pub(super) async fn create(State(app): State<App>, request: Request) -> HandlerR
 }
 
 /// Revokes a key: it stops within a second, and what is under way with it breaks off. Jobs that were submitted with it stay.
-#[utoipa::path(delete, path = "/v1/keys/{id}", tag = "keys",
+#[utoipa::path(delete, path = "/v1/keys/{id}", tag = "keys", operation_id = "revoke_key",
     params(("id" = String, Path, description = "Id of the key", example = "3b1f0a52c9d84e6f8a7d10c2b4e6f908")),
     responses(
         (status = 204, description = "It is worth nothing now"),

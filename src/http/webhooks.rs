@@ -104,7 +104,7 @@ fn unknown() -> Problem {
 }
 
 /// Lists the receivers of the key's tenant.
-#[utoipa::path(get, path = "/v1/webhooks", tag = "webhooks", responses(
+#[utoipa::path(get, path = "/v1/webhooks", tag = "webhooks", operation_id = "list_webhooks", responses(
     (status = 200, description = "All of them", body = WebhookList, example = json!(examples::webhooks())),
     (status = 404, description = "The service has no keys", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn list(State(app): State<App>, Extension(caller): Extension<Caller>) -> HandlerResult {
@@ -115,7 +115,7 @@ pub(super) async fn list(State(app): State<App>, Extension(caller): Extension<Ca
 }
 
 /// Makes a receiver. Its secret is in this answer and in no later one.
-#[utoipa::path(post, path = "/v1/webhooks", tag = "webhooks",
+#[utoipa::path(post, path = "/v1/webhooks", tag = "webhooks", operation_id = "create_webhook",
     request_body(content = NewWebhook, example = json!(examples::new_webhook())),
     responses(
         (status = 201, description = "The receiver and its secret", body = MadeWebhook, example = json!(examples::made_webhook())),
@@ -147,7 +147,7 @@ pub(super) async fn create(
 }
 
 /// Removes a receiver, and what it has not been told.
-#[utoipa::path(delete, path = "/v1/webhooks/{id}", tag = "webhooks", params(WebhookPath), responses(
+#[utoipa::path(delete, path = "/v1/webhooks/{id}", tag = "webhooks", operation_id = "delete_webhook", params(WebhookPath), responses(
     (status = 204, description = "It is gone"),
     (status = 404, description = "No such receiver", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn delete(
@@ -162,7 +162,7 @@ pub(super) async fn delete(
 }
 
 /// Gives a receiver a new secret. For a day deliveries are signed with the one before too, so that none is refused meanwhile.
-#[utoipa::path(post, path = "/v1/webhooks/{id}/secrets", tag = "webhooks", params(WebhookPath), responses(
+#[utoipa::path(post, path = "/v1/webhooks/{id}/secrets", tag = "webhooks", operation_id = "rotate_webhook_secret", params(WebhookPath), responses(
     (status = 201, description = "The new secret", body = NewSecret, example = json!(examples::new_secret())),
     (status = 404, description = "No such receiver", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn rotate(
@@ -179,7 +179,7 @@ pub(super) async fn rotate(
 }
 
 /// What a receiver was and is to be told, with what it answered.
-#[utoipa::path(get, path = "/v1/webhooks/{id}/deliveries", tag = "webhooks", params(WebhookPath, DeliveryQuery), responses(
+#[utoipa::path(get, path = "/v1/webhooks/{id}/deliveries", tag = "webhooks", operation_id = "list_deliveries", params(WebhookPath, DeliveryQuery), responses(
     (status = 200, description = "A page of them", body = DeliveryPage, example = json!(examples::deliveries())),
     (status = 400, description = "A malformed query", body = Problem, content_type = "application/problem+json"),
     (status = 404, description = "No such receiver", body = Problem, content_type = "application/problem+json")))]
@@ -198,7 +198,7 @@ pub(super) async fn deliveries(
 }
 
 /// Tells a receiver something once more, under the same id.
-#[utoipa::path(post, path = "/v1/webhooks/{id}/deliveries/{delivery}/replay", tag = "webhooks",
+#[utoipa::path(post, path = "/v1/webhooks/{id}/deliveries/{delivery}/replay", tag = "webhooks", operation_id = "replay_delivery",
     params(WebhookPath, ("delivery" = String, Path, description = "Id of the delivery", example = "msg_0f5a9b7c2d4e6180a3c5e7f9b1d30426")),
     responses(
         (status = 202, description = "It is told now"),

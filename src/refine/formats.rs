@@ -121,10 +121,14 @@ impl<'a> Plan<'a> {
         if self.obstacle(page).is_some() { &Coding::Png } else { &self.wanted }
     }
 
-    /// Texels about each chart that are taken from the uploaded image: those of its blocks, where these can be kept as they are, and the inner half
-    /// of the widest gutter that charts have by default elsewhere. What lies beyond is filled with means, which cost less in a file.
+    /// Texels about each chart that are taken from the uploaded image: of KTX2 those of the chart's blocks, which can be kept as they are; of files
+    /// that lose nothing a gutter; of others half of that, because what lies beyond is filled with means, which cost less in a file.
     pub(super) fn bleed(&self) -> u32 {
-        if matches!(self.wanted, Coding::Basis(_)) { BASIS_BLOCK + 1 } else { 2 }
+        match self.wanted {
+            Coding::Basis(_) => BASIS_BLOCK + 1,
+            Coding::Png | Coding::Webp(None) => 4,
+            Coding::Jpeg(_) | Coding::Webp(Some(_)) => 2,
+        }
     }
 
     /// How all pages are encoded, if they are JPEG files.

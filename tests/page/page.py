@@ -370,14 +370,12 @@ def test_by_keyboard_alone(bench):
         assert page.evaluate("document.activeElement.tagName") == "H1", "the verdict has the focus"
         tab_to("document.activeElement.id === 'sheet-after'", 80)
         page.keyboard.press("n")
-        page.wait_for_timeout(200)
-        assert page.locator("#model-before").get_attribute("data-lit")
+        page.wait_for_function("document.getElementById('model-before').dataset.lit")
         tab_to("document.activeElement.id === 'model-after'", 80)
         before = page.locator("#model-after").get_attribute("data-camera")
         page.keyboard.press("ArrowLeft")
-        page.wait_for_timeout(300)
-        assert page.locator("#model-after").get_attribute("data-camera") != before
-        assert page.locator("#live").inner_text()
+        page.wait_for_function("before => document.getElementById('model-after').dataset.camera !== before", arg=before)
+        page.wait_for_function("document.getElementById('live').textContent")
 
 
 def test_every_size_both_schemes_and_no_webgl(bench):

@@ -1,6 +1,8 @@
 // Binomial's own transcoder, as three.js ships it: what a KTX2 file with blocks of Basis Universal shows.
 import crypto from 'node:crypto';
 import fs from 'node:fs';
+import { createRequire } from 'node:module';
+import path from 'node:path';
 import { fileURLToPath } from 'node:url';
 
 const library = (name) => fileURLToPath(import.meta.resolve(`three/addons/libs/basis/${name}`));
@@ -9,8 +11,11 @@ let module;
 
 async function transcoder() {
   if (!module) {
-    const source = fs.readFileSync(library('basis_transcoder.js'), 'utf8');
-    const factory = new Function('module', 'exports', `${source}; return BASIS;`)({ exports: {} }, {});
+    // It was made for CommonJS.
+    const file = library('basis_transcoder.js');
+    const names = ['module', 'exports', 'require', '__filename', '__dirname'];
+    const run = new Function(...names, `${fs.readFileSync(file, 'utf8')}; return BASIS;`);
+    const factory = run({ exports: {} }, {}, createRequire(import.meta.url), file, path.dirname(file));
     module = await new Promise((resolve, reject) => {
       factory({ wasmBinary: fs.readFileSync(library('basis_transcoder.wasm')) }).then(resolve, reject);
     });
