@@ -33,6 +33,8 @@ async function finished(job: Job): Promise<Job> {
 async function submitted(body: Submission): Promise<Job> {
   const { data, error } = await service.POST("/v1/jobs", { body, bodySerializer: form });
   if (error) throw new Error(`${error.code}: ${error.detail}`);
+  // With `validate_only` there would be no job.
+  if (!("id" in data)) throw new Error("nothing was submitted");
   return data;
 }
 
