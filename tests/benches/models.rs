@@ -4,6 +4,7 @@
 //! `cargo bench --bench models [-- PART-OF-A-NAME]`; models lie in `INTARSIA_DATA`, or in `../shared/data`.
 
 mod common;
+#[allow(dead_code, reason = "single textures are not measured")]
 #[path = "../models/node.rs"]
 mod node;
 

@@ -90,6 +90,9 @@ fn weights(bits: u32) -> &'static [f32] {
     }
 }
 
+/// By 8 bits: the value that means what is nearest, and what it means.
+type Quantised = [(u8, u8); 256];
+
 impl Range {
     fn levels(self) -> u32 {
         self.digit << self.bits
@@ -113,9 +116,8 @@ impl Range {
         ((a & 0x80) | value >> 2) as u8
     }
 
-    /// By 8 bits: the value that means what is nearest, and what it means.
-    fn table(self) -> &'static [(u8, u8); 256] {
-        static TABLES: LazyLock<Vec<(Range, [(u8, u8); 256])>> = LazyLock::new(|| {
+    fn table(self) -> &'static Quantised {
+        static TABLES: LazyLock<Vec<(Range, Quantised)>> = LazyLock::new(|| {
             let ranges = [LEVELS_16, LEVELS_32, LEVELS_40, LEVELS_48, LEVELS_160, LEVELS_192, LEVELS_256];
             let table = |range: Range| {
                 std::array::from_fn(|wanted| {
