@@ -7,6 +7,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};
 
 use axum::body::{Body, Bytes, HttpBody};
+use axum::extract::rejection::RawPathParamsRejection;
 use axum::extract::{ConnectInfo, MatchedPath, RawPathParams, Request, State};
 use axum::http::{HeaderMap, Method, header};
 use axum::middleware::Next;
@@ -98,7 +99,7 @@ fn needed(method: &Method, route: Option<&str>) -> Option<Scope> {
 pub(super) async fn check(
     State(app): State<App>,
     route: Option<MatchedPath>,
-    parameters: RawPathParams,
+    parameters: std::result::Result<RawPathParams, RawPathParamsRejection>,
     request: Request,
     next: Next,
 ) -> Response {
@@ -128,7 +129,7 @@ pub(super) async fn check(
             return refused(Problem { retry_after: Some(wait), ..Problem::new(Code::RateLimited, detail) }, request);
         }
         let allowed = match needed {
-            Some(scope) => permit(&app, &caller, scope, token.is_some(), route, &parameters).await,
+            Some(scope) => permit(&app, &caller, scope, token.is_some(), route, parameters.as_ref().ok()).await,
             None => Ok(()),
         };
         match allowed {
@@ -173,7 +174,7 @@ async fn permit(
     scope: Scope,
     tried: bool,
     route: Option<&str>,
-    parameters: &RawPathParams,
+    parameters: Option<&RawPathParams>,
 ) -> HandlerResult<()> {
     let Some(key) = &caller.key else { return Err(unauthorized(tried)) };
     if !key.scopes.contains(&scope) {
@@ -181,7 +182,7 @@ async fn permit(
         return Err(Problem { challenge: Some(Challenge::Scope(scope)), ..Problem::new(Code::Forbidden, detail) });
     }
     if route.is_some_and(|route| route.starts_with("/v1/jobs/")) {
-        let id = parameters.iter().find(|(name, _)| *name == "id").map_or("", |(_, id)| id);
+        let id = parameters.into_iter().flatten().find(|(name, _)| *name == "id").map_or("", |(_, id)| id);
         if app.jobs.queue.tenant_of(id).await?.as_deref() != Some(key.tenant.as_str()) {
             return Err(unknown(id).into());
         }
