@@ -15,7 +15,8 @@ use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
-use clap::{CommandFactory, FromArgMatches};
+use clap::builder::Resettable;
+use clap::{Arg, CommandFactory, FromArgMatches};
 use intarsia::asset::{self, read_paths};
 use intarsia::config::{Cli, OptionFlags};
 use intarsia::error::{Code, Failure, Result};
@@ -25,11 +26,17 @@ use intarsia::refine::run::Input;
 use intarsia::refine::{parse, recipe};
 use serde_json::{Map, Value};
 
-/// The command line as it was given; its help names the recipes.
+/// The command line as it was given; its help names the recipes. A variable of the environment that is empty counts as one that is not set: so
+/// it comes from compose files and manifests that pass on what they were given.
 pub fn parse() -> Cli {
     let recipes = recipe::recipes().map(|(name, description)| format!("\n  {name:<12} {description}"));
     let help = format!("Recipes:{}", recipes.collect::<String>());
     let command = Cli::command().mut_subcommand("refine", |refine| refine.after_help(help));
+    let set = |flag: Arg| match flag.get_env() {
+        Some(name) if std::env::var_os(name).is_some_and(|value| value.is_empty()) => flag.env(Resettable::Reset),
+        _ => flag,
+    };
+    let command = command.mut_subcommands(|subcommand| subcommand.mut_args(set));
     Cli::from_arg_matches(&command.get_matches()).unwrap_or_else(|error| error.exit())
 }
 

@@ -17,8 +17,8 @@ use crate::texture::Slot;
 use crate::texture::Texture;
 use crate::texture::{
     Alpha, Bake, Baked, Direction, FIDELITY_SAMPLES, Fidelity, Format, Header, Role, STREAMED_FROM, Source, Streamed,
-    UploadedColors, Wrap, bake, bake_jpeg, basis_upload, decode, encode, is_lossy, jpeg_coding, neutral, page_size,
-    texel, webp_quality, widened,
+    UploadedColors, Wrap, bake, bake_jpeg, basis_upload, decode, is_lossy, jpeg_coding, neutral, page_size, texel,
+    webp_quality, widened,
 };
 
 /// One baked slot: a file for each sheet, and what it cost.
@@ -183,7 +183,7 @@ fn bake_slot(
             texels,
             jpeg: jpeg_coding(file),
             webp: webp_quality(file),
-            basis: basis_upload(file),
+            basis: options.format.of(slot.role).may_be_ktx2().then(|| basis_upload(file)).flatten(),
         })
     });
     let plan = Plan::new(slot, uploads.collect(), options);
@@ -250,7 +250,7 @@ fn bake_slot(
                 .par_iter()
                 .map(|page| {
                     let coding = plan.of(PageKind::of(page));
-                    let bytes = encode(page, coding)?;
+                    let bytes = coding.encode(page, context)?;
                     Ok(BakedFile { size: [page.width(), page.height()], format: coding.format(), bytes })
                 })
                 .collect::<Result<Vec<_>>>()

@@ -6,6 +6,7 @@ use super::basis::BasisCoding;
 use super::jpeg::JpegCoding;
 use super::pixels::Depth;
 use super::{Format, png, webp};
+use crate::context::Context;
 use crate::error::{Failure, Result};
 
 /// A format, and what its encoder is told.
@@ -33,19 +34,30 @@ impl Coding {
     }
 }
 
+impl Coding {
+    /// [`encode`], which can be given up.
+    ///
+    /// # Errors
+    /// `canceled`, and those of [`encode`].
+    pub fn encode(&self, image: &DynamicImage, context: &Context) -> Result<Vec<u8>> {
+        if image.width() == 0 || image.height() == 0 {
+            return Err(Failure::internal("an image to encode has no texels"));
+        }
+        context.check()?;
+        match self {
+            Coding::Png => png::encode(image),
+            Coding::Jpeg(coding) => encode_jpeg(image, coding),
+            Coding::Webp(quality) => webp::encode(image, *quality),
+            Coding::Basis(coding) => coding.encode(image, context),
+        }
+    }
+}
+
 /// Encodes an image with its own channels; PNG keeps the depth, JPEG has 8 bits, and WebP and KTX2 8 bits in RGB or RGBA.
 ///
 /// Fails with `internal` when the image is empty, has alpha for JPEG or 16 bits for WebP or KTX2, or a size that the format cannot have.
 pub fn encode(image: &DynamicImage, coding: &Coding) -> Result<Vec<u8>> {
-    if image.width() == 0 || image.height() == 0 {
-        return Err(Failure::internal("an image to encode has no texels"));
-    }
-    match coding {
-        Coding::Png => png::encode(image),
-        Coding::Jpeg(coding) => encode_jpeg(image, coding),
-        Coding::Webp(quality) => webp::encode(image, *quality),
-        Coding::Basis(coding) => coding.encode(image),
-    }
+    coding.encode(image, &Context::silent())
 }
 
 fn encode_jpeg(image: &DynamicImage, coding: &JpegCoding) -> Result<Vec<u8>> {

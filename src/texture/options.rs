@@ -91,6 +91,17 @@ pub enum TextureFormat {
     Ktx2Uastc,
 }
 
+impl TextureFormat {
+    /// Whether files are, or may stay, KTX2.
+    pub(crate) fn may_be_ktx2(self) -> bool {
+        self == TextureFormat::Keep || self.is_ktx2()
+    }
+
+    fn is_ktx2(self) -> bool {
+        matches!(self, TextureFormat::Ktx2 | TextureFormat::Ktx2Etc1s | TextureFormat::Ktx2Uastc)
+    }
+}
+
 /// Formats of the output textures.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(untagged)]
@@ -134,11 +145,9 @@ impl TextureFormats {
 
     /// Whether some textures are to become KTX2 files that were none.
     pub fn asks_for_ktx2(&self) -> bool {
-        let is_ktx2 =
-            |f: &TextureFormat| matches!(f, TextureFormat::Ktx2 | TextureFormat::Ktx2Etc1s | TextureFormat::Ktx2Uastc);
         match self {
-            TextureFormats::All(format) => is_ktx2(format),
-            TextureFormats::BySlot(formats) => formats.values().any(is_ktx2),
+            TextureFormats::All(format) => format.is_ktx2(),
+            TextureFormats::BySlot(formats) => formats.values().any(|format| format.is_ktx2()),
         }
     }
 }

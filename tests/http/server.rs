@@ -37,6 +37,11 @@ impl Server {
 
     fn spawn(data: &Path, flags: &[&str], log: Stdio) -> Server {
         let mut child = Command::new(env!("CARGO_BIN_EXE_intarsia"))
+            // As compose files pass on what they were not given.
+            .envs(
+                ["ALLOW_ORIGIN", "WEBHOOK_ALLOW", "WEBHOOK_SECRET", "RATE_LIMIT"]
+                    .map(|n| (format!("INTARSIA_{n}"), "")),
+            )
             .args(["serve", "--listen", "127.0.0.1:0", "--threads", "2", "--data-dir"])
             .arg(data)
             .args(flags)

@@ -37,7 +37,7 @@ const MOST_INSTANCES: usize = 64;
 /// The preview of what was done.
 ///
 /// # Errors
-/// `canceled`; `invalid_image` for an uploaded image that no longer decodes.
+/// `canceled`.
 pub(super) fn preview(
     loaded: &Loaded,
     refinements: &[Refinement<'_>],

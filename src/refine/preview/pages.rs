@@ -45,7 +45,8 @@ pub(super) fn count(r: &Refinement<'_>) -> usize {
     active(r.group).count() + r.slots.iter().map(|slot| slot.files.len()).sum::<usize>()
 }
 
-/// The uploaded picture of a slot; of several models, their images on the sheet that they share.
+/// The uploaded picture of a slot; of several models, their images on the sheet that they share. Null where one does not decode: what was left
+/// as it was is not looked at before.
 pub(super) fn before_page(
     loaded: &Loaded,
     group: &Group,
@@ -60,7 +61,10 @@ pub(super) fn before_page(
     {
         return as_it_is(bytes, share, sections);
     }
-    let images = Images::new(loaded, group, max_pixels).decoded(index, slot)?;
+    let Ok(images) = Images::new(loaded, group, max_pixels).decoded(index, slot) else {
+        share.take(0);
+        return Ok(Value::Null);
+    };
     if !group.is_joined() {
         return images.first().map_or(Ok(Value::Null), |image| scaled(image, share, sections));
     }

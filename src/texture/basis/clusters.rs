@@ -3,6 +3,9 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
+use crate::context::Context;
+use crate::error::Result;
+
 /// Rounds in which a division is improved, and in which its axis is.
 const ROUNDS: usize = 3;
 const POWER: usize = 6;
@@ -118,15 +121,28 @@ impl<const D: usize> Cluster<D> {
     }
 }
 
-/// At most `count` clusters of the vectors: by cluster its mean and its members.
-pub(super) fn clusters<const D: usize>(vectors: Vec<Weighted<D>>, count: usize) -> Vec<([f32; D], Vec<Weighted<D>>)> {
+/// Clusters: by cluster its mean and its members.
+type Clusters<const D: usize> = Vec<([f32; D], Vec<Weighted<D>>)>;
+
+/// At most `count` clusters of the vectors.
+///
+/// # Errors
+/// `canceled`.
+pub(super) fn clusters<const D: usize>(
+    vectors: Vec<Weighted<D>>,
+    count: usize,
+    context: &Context,
+) -> Result<Clusters<D>> {
     if vectors.is_empty() || count == 0 {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let mut done = Vec::new();
     let mut heap = BinaryHeap::from([Cluster::new(vectors, 0)]);
     let mut number = 0;
     while heap.len() + done.len() < count {
+        if number % 64 == 0 {
+            context.check()?;
+        }
         let Some(worst) = heap.pop() else { break };
         if worst.loss <= 0.0 {
             heap.push(worst);
@@ -144,7 +160,7 @@ pub(super) fn clusters<const D: usize>(vectors: Vec<Weighted<D>>, count: usize) 
     }
     let mut all: Vec<Cluster<D>> = heap.into_iter().chain(done).collect();
     all.sort_unstable_by_key(|c| c.number);
-    all.into_iter().map(|c| (c.mean, c.members)).collect()
+    Ok(all.into_iter().map(|c| (c.mean, c.members)).collect())
 }
 
 #[cfg(test)]
@@ -153,6 +169,7 @@ mod tests {
 
     #[test]
     fn heaps_are_found_and_no_member_is_lost() {
+        let context = Context::silent();
         let vectors: Vec<Weighted<2>> = (0..400u32)
             .map(|i| {
                 let heap = f32::from((i % 4) as u8);
@@ -160,16 +177,19 @@ mod tests {
                 Weighted { at: [100.0 * heap + jitter, -50.0 * heap * heap], weight: 1.0 + heap, index: i }
             })
             .collect();
-        let found = clusters(vectors.clone(), 4);
+        let found = clusters(vectors.clone(), 4, &context).unwrap();
         assert_eq!(found.len(), 4);
         assert!(found.iter().all(|(_, members)| members.len() == 100 && members.iter().all(|m| m.index % 4 == members[0].index % 4)));
-        let finer = clusters(vectors.clone(), 90);
+        let finer = clusters(vectors.clone(), 90, &context).unwrap();
         let mut indices: Vec<u32> = finer.iter().flat_map(|(_, m)| m.iter().map(|m| m.index)).collect();
         indices.sort_unstable();
         assert_eq!(indices, (0..400).collect::<Vec<_>>());
         // There are no more clusters than different vectors.
         let same = vec![Weighted { at: [1.0, 2.0], weight: 1.0, index: 0 }; 9];
-        assert_eq!(clusters(same, 5).len(), 1);
-        assert!(clusters::<2>(Vec::new(), 5).is_empty() && clusters(vectors, 0).is_empty());
+        assert_eq!(clusters(same, 5, &context).unwrap().len(), 1);
+        assert!(
+            clusters::<2>(Vec::new(), 5, &context).unwrap().is_empty()
+                && clusters(vectors, 0, &context).unwrap().is_empty()
+        );
     }
 }

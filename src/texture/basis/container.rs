@@ -30,9 +30,15 @@ pub(super) struct Sample {
 pub(super) struct File {
     /// Of the first level.
     pub(super) size: [u32; 2],
+    pub(super) srgb: bool,
+    pub(super) content: Content,
+}
+
+/// Blocks of one kind.
+#[derive(Debug)]
+pub(super) struct Content {
     /// Colour model of the Khronos Data Format.
     pub(super) model: u8,
-    pub(super) srgb: bool,
     pub(super) samples: Vec<Sample>,
     pub(super) supercompression: Supercompression,
     /// Supercompression global data.
@@ -52,13 +58,13 @@ impl File {
             values.extend(entry);
             values.resize(values.len().next_multiple_of(4), 0);
         }
-        let start = INDEX + ENTRY * self.levels.len();
+        let start = INDEX + ENTRY * self.content.levels.len();
         let after_values = start + descriptor.len() + values.len();
-        let global = if self.global.is_empty() { 0 } else { after_values.next_multiple_of(8) };
-        let mut at = if self.global.is_empty() { after_values } else { global + self.global.len() };
+        let global = if self.content.global.is_empty() { 0 } else { after_values.next_multiple_of(8) };
+        let mut at = if self.content.global.is_empty() { after_values } else { global + self.content.global.len() };
         // The smallest level comes first.
-        let mut offsets = vec![0; self.levels.len()];
-        for (offset, (level, _)) in offsets.iter_mut().zip(&self.levels).rev() {
+        let mut offsets = vec![0; self.content.levels.len()];
+        for (offset, (level, _)) in offsets.iter_mut().zip(&self.content.levels).rev() {
             *offset = at;
             at += level.len();
         }
@@ -71,8 +77,8 @@ impl File {
             0,
             0,
             1,
-            self.levels.len() as u32,
-            self.supercompression as u32,
+            self.content.levels.len() as u32,
+            self.content.supercompression as u32,
             start as u32,
             descriptor.len() as u32,
             (start + descriptor.len()) as u32,
@@ -80,36 +86,36 @@ impl File {
         ];
         out.extend(words.into_iter().flat_map(u32::to_le_bytes));
         let longs = |longs: &[u64]| longs.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<u8>>();
-        out.extend(longs(&[global as u64, self.global.len() as u64]));
-        for (offset, (level, inflated)) in offsets.iter().zip(&self.levels) {
+        out.extend(longs(&[global as u64, self.content.global.len() as u64]));
+        for (offset, (level, inflated)) in offsets.iter().zip(&self.content.levels) {
             out.extend(longs(&[*offset as u64, level.len() as u64, *inflated]));
         }
         out.extend(descriptor);
         out.extend(values);
         if global > 0 {
             out.resize(global, 0);
-            out.extend(&self.global);
+            out.extend(&self.content.global);
         }
-        self.levels.iter().rev().for_each(|(level, _)| out.extend(level));
+        self.content.levels.iter().rev().for_each(|(level, _)| out.extend(level));
         out
     }
 
     /// The data format descriptor: one basic block.
     fn descriptor(&self) -> Vec<u8> {
-        let block = 24 + 16 * self.samples.len() as u32;
+        let block = 24 + 16 * self.content.samples.len() as u32;
         let words = [
             block + 4,
             0,
             2 | block << 16,
             // BT.709 primaries; alpha is not premultiplied.
-            u32::from(self.model) | 1 << 8 | if self.srgb { 2 } else { 1 } << 16,
+            u32::from(self.content.model) | 1 << 8 | if self.srgb { 2 } else { 1 } << 16,
             3 | 3 << 8,
             // Bytes of a plane are not told where the file is compressed.
             0,
             0,
         ];
         let mut out: Vec<u8> = words.into_iter().flat_map(u32::to_le_bytes).collect();
-        for Sample { channel, bits: [offset, length] } in &self.samples {
+        for Sample { channel, bits: [offset, length] } in &self.content.samples {
             let first = u32::from(*offset) | u32::from(length - 1) << 16 | u32::from(*channel) << 24;
             out.extend([first, 0, 0, u32::MAX].into_iter().flat_map(u32::to_le_bytes));
         }

@@ -5,8 +5,11 @@ use rayon::prelude::*;
 
 use super::block::{Endpoint, Errors, Pattern, Texels, best_pattern, error_below, fit, selector};
 use super::clusters::{Weighted, clusters};
+use super::in_parts;
 use super::nearest::Nearest;
 use super::uploaded::{KnownBlocks, Uploaded};
+use crate::context::Context;
+use crate::error::Result;
 
 /// Entries that a palette may have: numbers are symbols of codes with 14 bits of them, some of which mean something else.
 pub(super) const MOST: usize = 16_128;
@@ -46,23 +49,20 @@ pub(super) struct Palettes {
 pub(super) type Pair = [u32; 2];
 
 /// Palettes, and by slice the numbers of its blocks.
-pub(super) fn encode(slices: &[Slice], uploads: &[&Uploaded]) -> (Palettes, Vec<Vec<Pair>>) {
-    let blocks: Vec<&Texels> = slices.iter().flat_map(|s| &s.blocks).collect();
-    let mut known: Vec<Option<(Endpoint, Pattern)>> = match uploads {
-        [] => vec![None; blocks.len()],
-        _ => {
-            let of = KnownBlocks::new(uploads);
-            let all: Vec<(&Texels, bool)> = slices.iter().flat_map(|s| s.blocks.iter().map(|b| (b, s.alpha))).collect();
-            all.into_par_iter().map(|(texels, alpha)| of.pair(texels, alpha)).collect()
-        }
-    };
+///
+/// # Errors
+/// `canceled`.
+pub(super) fn encode(slices: &[Slice], uploads: &[&Uploaded], context: &Context) -> Result<(Palettes, Vec<Vec<Pair>>)> {
+    let (blocks, is_alpha): (Vec<&Texels>, Vec<bool>) =
+        slices.iter().flat_map(|s| s.blocks.iter().map(|b| (b, s.alpha))).unzip();
+    let of_blocks = KnownBlocks::new(uploads);
+    let mut known = in_parts(blocks.len(), context, |i| of_blocks.pair(blocks[i], is_alpha[i]))?;
     let mut endpoints = kept(known.iter().flatten().map(|(endpoint, _)| *endpoint));
     let mut patterns = kept(known.iter().flatten().map(|(_, pattern)| *pattern));
     for block in &mut known {
         *block = block.filter(|(e, p)| endpoints.binary_search(e).is_ok() && patterns.binary_search(p).is_ok());
     }
-    let fits: Vec<Option<(Endpoint, Pattern, u32)>> =
-        blocks.par_iter().zip(&known).map(|(texels, known)| known.is_none().then(|| fit(texels))).collect();
+    let fits = in_parts(blocks.len(), context, |i| known[i].is_none().then(|| fit(blocks[i])))?;
     let free = fits.iter().flatten().count();
     let [for_endpoints, for_patterns] = budgets(uploads, free);
 
@@ -71,56 +71,46 @@ pub(super) fn encode(slices: &[Slice], uploads: &[&Uploaded]) -> (Palettes, Vec<
         weight: count as f32,
         index: 0,
     });
-    endpoints.extend(
-        clusters(sampled(learned.collect()), for_endpoints.min(MOST - endpoints.len()))
-            .iter()
-            .map(|(mean, _)| Endpoint::of_span(mean)),
-    );
+    let found = clusters(sampled(learned.collect()), for_endpoints.min(MOST - endpoints.len()), context)?;
+    endpoints.extend(found.iter().map(|(mean, _)| Endpoint::of_span(mean)));
     endpoints.sort_unstable();
     endpoints.dedup();
     let endpoints = chain(endpoints, |e| e.span(), |a, b| (0..6).map(|k| (a[k] - b[k]).powi(2)).sum());
+    context.check()?;
 
-    let near = Nearest::new(endpoints.iter().map(|e| e.span()));
-    let chosen: Vec<[u32; 2]> = (blocks.par_iter().zip(&fits))
-        .map(|(texels, fit)| fit.map_or([0; 2], |(ideal, ..)| two_best(&near, &endpoints, ideal, texels)))
-        .collect();
+    let near = Nearest::new(endpoints.iter().map(|e| e.span()), context)?;
+    let two = |i: usize| fits[i].map_or([0; 2], |(ideal, ..)| two_best(&near, &endpoints, ideal, blocks[i]));
+    let chosen = in_parts(blocks.len(), context, two)?;
     let wanted = |i: usize| positions(endpoints[chosen[i][0] as usize], blocks[i]);
-    let of_free: Vec<usize> = fits.iter().enumerate().filter(|(_, fit)| fit.is_some()).map(|(i, _)| i).collect();
-    let step = of_free.len().div_ceil(LEARNED).max(1);
-    let learned = of_free.into_par_iter().step_by(step).map(|i| {
+    let of_free = fits.iter().enumerate().filter(|(_, fit)| fit.is_some()).map(|(i, _)| i).collect();
+    let learned = sampled(of_free).into_par_iter().map(|i| {
         let span = endpoints[chosen[i][0] as usize].span();
         Weighted { at: wanted(i), weight: (span[3] - span[0]).powi(2), index: 0 }
     });
-    patterns.extend(
-        clusters(learned.collect(), for_patterns.min(MOST - patterns.len())).iter().map(|(mean, _)| rounded(mean)),
-    );
+    let found = clusters(learned.collect(), for_patterns.min(MOST - patterns.len()), context)?;
+    patterns.extend(found.iter().map(|(mean, _)| rounded(mean)));
     patterns.sort_unstable();
     patterns.dedup();
     let patterns = chain(patterns, |p| *p, |a, b| (a ^ b).count_ones() as f32);
+    context.check()?;
 
-    let near = Nearest::new(patterns.iter().map(|p| std::array::from_fn(|i| selector(*p, i) as f32)));
+    let near = Nearest::new(patterns.iter().map(|p| std::array::from_fn(|i| selector(*p, i) as f32)), context)?;
     let palettes = Palettes { endpoints: endpoints.clone(), patterns };
     let number = Numbers::new(&palettes);
-    let candidates: Vec<Candidates> = (0..blocks.len())
-        .into_par_iter()
-        .map(|i| match known[i] {
-            Some((endpoint, pattern)) => Candidates::Known(number.of(endpoint, pattern)),
-            None => Candidates::Free { endpoints: chosen[i], patterns: padded(near.of::<PATTERNS>(&wanted(i))) },
-        })
-        .collect();
+    let candidates = in_parts(blocks.len(), context, |i| match known[i] {
+        Some((endpoint, pattern)) => Candidates::Known(number.of(endpoint, pattern)),
+        None => Candidates::Free { endpoints: chosen[i], patterns: padded(near.of::<PATTERNS>(&wanted(i))) },
+    })?;
     // What is lost where bits cost nothing.
-    let lost: f64 = (candidates.par_iter().zip(&blocks))
-        .map(|(candidates, texels)| match candidates {
-            Candidates::Known(_) => 0.0,
-            Candidates::Free { endpoints, patterns } => {
-                let errors = palettes.endpoints[endpoints[0] as usize].errors(texels);
-                let error = |p: &u32| error_below(&errors, palettes.patterns[*p as usize], f64::INFINITY);
-                f64::from(patterns.iter().filter_map(error).min().unwrap_or(0))
-            }
-        })
-        .collect::<Vec<f64>>()
-        .iter()
-        .sum();
+    let least = |i: usize| match &candidates[i] {
+        Candidates::Known(_) => 0.0,
+        Candidates::Free { endpoints, patterns } => {
+            let errors = palettes.endpoints[endpoints[0] as usize].errors(blocks[i]);
+            let error = |p: &u32| error_below(&errors, palettes.patterns[*p as usize], f64::INFINITY);
+            f64::from(patterns.iter().filter_map(error).min().unwrap_or(0))
+        }
+    };
+    let lost: f64 = in_parts(blocks.len(), context, least)?.iter().sum();
     let bit = (BIT * lost / free.max(1) as f64).max(LEAST_BIT);
     let mut rest = &candidates[..];
     let parts: Vec<(&Slice, &[Candidates])> = slices
@@ -131,8 +121,9 @@ pub(super) fn encode(slices: &[Slice], uploads: &[&Uploaded]) -> (Palettes, Vec<
             (slice, own)
         })
         .collect();
-    let pairs = parts.into_par_iter().map(|(slice, candidates)| choose(slice, candidates, &palettes, bit)).collect();
-    (palettes, pairs)
+    let chosen = |(slice, candidates)| choose(slice, candidates, &palettes, bit, context);
+    let pairs = parts.into_par_iter().map(chosen).collect::<Result<_>>()?;
+    Ok((palettes, pairs))
 }
 
 /// What a block may become.
@@ -172,13 +163,10 @@ fn counted<T: Ord + Copy>(values: impl Iterator<Item = T>) -> impl Iterator<Item
     groups.into_iter()
 }
 
-/// At most so many of the vectors, at equal distances.
-fn sampled<const D: usize>(mut vectors: Vec<Weighted<D>>) -> Vec<Weighted<D>> {
-    let step = vectors.len().div_ceil(LEARNED);
-    if step > 1 {
-        vectors = vectors.into_iter().step_by(step).collect();
-    }
-    vectors
+/// At most [`LEARNED`] of all, at equal distances.
+fn sampled<T>(all: Vec<T>) -> Vec<T> {
+    let step = all.len().div_ceil(LEARNED).max(1);
+    all.into_iter().step_by(step).collect()
 }
 
 /// An order in which neighbours are alike: from each the nearest that is left.
@@ -296,7 +284,13 @@ impl History {
 }
 
 /// The numbers of a slice's blocks: what costs least in error and bits, block after block.
-fn choose(slice: &Slice, candidates: &[Candidates], palettes: &Palettes, bit: f64) -> Vec<Pair> {
+fn choose(
+    slice: &Slice,
+    candidates: &[Candidates],
+    palettes: &Palettes,
+    bit: f64,
+    context: &Context,
+) -> Result<Vec<Pair>> {
     let bits = |n: usize| (n.max(2) as f64).log2();
     // About what codes make of them.
     let (like_neighbour, new_endpoint) = (1.5, 2.0 + 0.85 * bits(palettes.endpoints.len()));
@@ -306,6 +300,9 @@ fn choose(slice: &Slice, candidates: &[Candidates], palettes: &Palettes, bit: f6
     let mut history = History::new();
     let wide = slice.size[0];
     for (i, (texels, candidates)) in slice.blocks.iter().zip(candidates).enumerate() {
+        if i % wide == 0 {
+            context.check()?;
+        }
         let pair = match candidates {
             Candidates::Known(pair) => *pair,
             Candidates::Free { endpoints, patterns } => {
@@ -343,5 +340,5 @@ fn choose(slice: &Slice, candidates: &[Candidates], palettes: &Palettes, bit: f6
         history.told(pair[1]);
         out.push(pair);
     }
-    out
+    Ok(out)
 }

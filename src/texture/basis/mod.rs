@@ -21,8 +21,9 @@ use rayon::prelude::*;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
 use super::depth;
+use crate::context::Context;
 use crate::error::{Failure, Result};
-use container::{File, Sample, Supercompression};
+use container::{Content, File, Sample, Supercompression};
 use etc1s::Slice;
 use mips::Level;
 pub use mips::MipFilter;
@@ -100,8 +101,8 @@ impl BasisCoding {
     /// Encodes an image of 8 bits a channel.
     ///
     /// # Errors
-    /// `internal` for an image of 16 bits, or with sides that are no multiples of four.
-    pub(super) fn encode(&self, image: &DynamicImage) -> Result<Vec<u8>> {
+    /// `canceled`; `internal` for an image of 16 bits, or with sides that are no multiples of four.
+    pub(super) fn encode(&self, image: &DynamicImage, context: &Context) -> Result<Vec<u8>> {
         let size = [image.width(), image.height()];
         if depth(image) != 8 || size.iter().any(|n| *n == 0 || n % BLOCK != 0 || *n > LONGEST) {
             return Err(Failure::internal("an image cannot be held in blocks of four texels and 8 bits"));
@@ -111,18 +112,18 @@ impl BasisCoding {
         let base = Level { size: size.map(|n| n as usize), texels };
         let levels = if self.mips { base.chain(self.filter) } else { vec![base] };
         let uploads: Vec<&Uploaded> = self.uploads.iter().map(|u| &**u).collect();
-        let file = match self.kind {
-            BasisKind::Etc1s => etc1s_file(levels, has_alpha, &uploads),
-            BasisKind::Uastc => uastc_file(&levels, has_alpha, &uploads),
+        let content = match self.kind {
+            BasisKind::Etc1s => etc1s_content(levels, has_alpha, &uploads, context)?,
+            BasisKind::Uastc => uastc_content(&levels, has_alpha, &uploads, context)?,
         };
-        Ok(File { size, srgb: self.filter.srgb, ..file }.bytes())
+        Ok(File { size, srgb: self.filter.srgb, content }.bytes())
     }
 }
 
-fn etc1s_file(levels: Vec<Level>, has_alpha: bool, uploads: &[&Uploaded]) -> File {
+fn etc1s_content(levels: Vec<Level>, has_alpha: bool, uploads: &[&Uploaded], context: &Context) -> Result<Content> {
     let slices: Vec<Slice> = levels.iter().flat_map(|level| slices(level, has_alpha)).collect();
     drop(levels);
-    let (palettes, pairs) = etc1s::encode(&slices, uploads);
+    let (palettes, pairs) = etc1s::encode(&slices, uploads, context)?;
     let pairs: Vec<_> = slices.iter().map(|s| s.size[0]).zip(pairs).collect();
     let streams = Streams::new(&palettes, &pairs);
     let group = 1 + usize::from(has_alpha);
@@ -141,35 +142,45 @@ fn etc1s_file(levels: Vec<Level>, has_alpha: bool, uploads: &[&Uploaded]) -> Fil
     let sample = |channel, offset| Sample { channel, bits: [offset, 64] };
     let mut samples = vec![sample(ETC1S_RGB, 0)];
     samples.extend(has_alpha.then(|| sample(ETC1S_ALPHA, 64)));
-    File {
-        size: [0; 2],
-        srgb: false,
+    Ok(Content {
         model: ETC1S,
         samples,
         supercompression: Supercompression::BasisLz,
         global,
         levels: streams.slices.chunks_exact(group).map(|level| (level.concat(), 0)).collect(),
-    }
+    })
 }
 
-fn uastc_file(levels: &[Level], has_alpha: bool, uploads: &[&Uploaded]) -> File {
+fn uastc_content(levels: &[Level], has_alpha: bool, uploads: &[&Uploaded], context: &Context) -> Result<Content> {
     let known = KnownBlocks::new(uploads);
     let level = |level: &Level| {
-        let encoded = |texels| known.block(&texels).unwrap_or_else(|| uastc::encode(&texels));
-        let blocks: Vec<[u8; 16]> = blocks(level, |texel| texel).1.into_par_iter().map(encoded).collect();
+        let texels = blocks(level, |texel| texel).1;
+        let encoded = |i: usize| known.block(&texels[i]).unwrap_or_else(|| uastc::encode(&texels[i]));
+        let blocks = in_parts(texels.len(), context, encoded)?;
         let bytes = blocks.as_flattened();
-        (compress_to_vec(bytes, CompressionLevel::Fastest), bytes.len() as u64)
+        Ok((compress_to_vec(bytes, CompressionLevel::Fastest), bytes.len() as u64))
     };
     let channel = if has_alpha { UASTC_RGBA } else { UASTC_RGB };
-    File {
-        size: [0; 2],
-        srgb: false,
+    Ok(Content {
         model: UASTC,
         samples: vec![Sample { channel, bits: [0, 128] }],
         supercompression: Supercompression::Zstandard,
         global: Vec::new(),
-        levels: levels.iter().map(level).collect(),
-    }
+        levels: levels.iter().map(level).collect::<Result<_>>()?,
+    })
+}
+
+/// Blocks from one look to the next whether all is given up.
+const PART: usize = 4096;
+
+/// What is made of each block, in parallel.
+fn in_parts<T: Send>(count: usize, context: &Context, of: impl Fn(usize) -> T + Sync) -> Result<Vec<T>> {
+    let part = |start: usize| {
+        context.check()?;
+        Ok((start..count.min(start + PART)).map(&of).collect())
+    };
+    let parts: Vec<Vec<T>> = (0..count).into_par_iter().step_by(PART).map(part).collect::<Result<_>>()?;
+    Ok(parts.into_iter().flatten().collect())
 }
 
 /// A level's colour, and its alpha as greys.

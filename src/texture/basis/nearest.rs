@@ -1,6 +1,8 @@
 //! The nearest of many vectors, about: those of the groups whose means are nearest are looked at.
 
 use super::clusters::{Weighted, clusters};
+use crate::context::Context;
+use crate::error::Result;
 
 /// Groups that are looked at.
 const GROUPS: usize = 8;
@@ -12,11 +14,14 @@ pub(super) struct Nearest<const D: usize> {
 
 impl<const D: usize> Nearest<D> {
     /// About as many groups as each has members.
-    pub(super) fn new(vectors: impl Iterator<Item = [f32; D]>) -> Self {
+    ///
+    /// # Errors
+    /// `canceled`.
+    pub(super) fn new(vectors: impl Iterator<Item = [f32; D]>, context: &Context) -> Result<Self> {
         let all: Vec<Weighted<D>> =
             vectors.enumerate().map(|(i, at)| Weighted { at, weight: 1.0, index: i as u32 }).collect();
         let count = (all.len() as f64).sqrt().ceil() as usize;
-        Nearest { groups: clusters(all, count) }
+        Ok(Nearest { groups: clusters(all, count, context)? })
     }
 
     /// The nearest `K` vectors, from the nearest on; fewer where there are fewer.
@@ -80,7 +85,7 @@ mod tests {
     fn most_of_the_nearest_are_found() {
         let value = |i: u32| (i.wrapping_mul(2_654_435_761) >> 8) as f32 / 65_536.0;
         let vectors: Vec<[f32; 3]> = (0..900).map(|i| [value(3 * i), value(3 * i + 1), value(3 * i + 2)]).collect();
-        let nearest = Nearest::new(vectors.iter().copied());
+        let nearest = Nearest::new(vectors.iter().copied(), &Context::silent()).unwrap();
         let mut found = 0;
         for i in 0..200 {
             let at = [value(i + 5000), value(2 * i + 9000), value(7 * i)];
@@ -94,6 +99,9 @@ mod tests {
             found += usize::from(told[0] == order[0]);
         }
         assert!(found > 190, "{found}");
-        assert_eq!(Nearest::new(vectors[..2].iter().copied()).of::<5>(&[0.0; 3]).count(), 2);
+        assert_eq!(
+            Nearest::new(vectors[..2].iter().copied(), &Context::silent()).unwrap().of::<5>(&[0.0; 3]).count(),
+            2
+        );
     }
 }

@@ -52,8 +52,8 @@ fn files_are_read_as_what_was_written() {
         }
     }
     for kind in KINDS {
-        assert!(coding(kind, true).encode(&smooth([6, 8], 3)).is_err());
-        assert!(coding(kind, true).encode(&picture(8, 8, 3, true)).is_err());
+        assert!(coding(kind, true).encode(&smooth([6, 8], 3), &Context::silent()).is_err());
+        assert!(coding(kind, true).encode(&picture(8, 8, 3, true), &Context::silent()).is_err());
     }
 }
 
@@ -89,5 +89,15 @@ fn threads_do_not_matter() {
                 .install(|| encode(&image, &coding).unwrap())
         };
         assert!(with(1) == with(3));
+    }
+}
+
+#[test]
+fn it_can_be_given_up() {
+    let cancel = Arc::new(std::sync::atomic::AtomicBool::new(true));
+    let context = Context::new(Arc::new(crate::context::Silent), cancel, 0);
+    for kind in KINDS {
+        let failure = coding(kind, true).encode(&smooth([64, 64], 3), &context).unwrap_err();
+        assert_eq!(failure.code, crate::error::Code::Canceled);
     }
 }
