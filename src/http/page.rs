@@ -1,6 +1,6 @@
 //! `/` and `/page/{name}`: the page, as it lies in `page/`, and the same page with one job inside as a file of its own.
 //!
-//! Modules are served as they are written. For a file that opens without a server they are put one behind the other, which needs that each
+//! Files are served as they are written, without the indentation. For a file that opens without a server they are put one behind the other, which needs that each
 //! imports, by name and on one line, only from those before it; a test holds that.
 
 use std::sync::LazyLock;
@@ -29,17 +29,22 @@ const ICON_LINK: &str = "<link rel=\"icon\" href=\"page/icon.svg\" type=\"image/
 struct PageFile {
     name: &'static str,
     media_type: &'static str,
-    text: &'static str,
+    text: String,
 }
 
 macro_rules! page_files {
     ($($name:literal: $media_type:literal,)*) => {
-        [$(PageFile { name: $name, media_type: $media_type, text: include_str!(concat!("page/", $name)) },)*]
+        LazyLock::new(|| vec![$(PageFile { name: $name, media_type: $media_type, text: plain(include_str!(concat!("page/", $name))) },)*])
     };
 }
 
+/// A file without indentation, which nothing in it needs.
+fn plain(source: &str) -> String {
+    source.lines().flat_map(|line| [line.trim_start(), "\n"]).collect()
+}
+
 /// All files; modules behind those that they import.
-static FILES: [PageFile; 15] = page_files! {
+static FILES: LazyLock<Vec<PageFile>> = page_files! {
     "index.html": "text/html; charset=utf-8",
     "style.css": "text/css; charset=utf-8",
     "icon.svg": "image/svg+xml",
@@ -59,7 +64,7 @@ static FILES: [PageFile; 15] = page_files! {
 
 /// The ETag of each file.
 static ETAGS: LazyLock<Vec<String>> = LazyLock::new(|| {
-    let tag = |file: &PageFile| format!("\"{}\"", hex::encode(&Sha256::digest(file.text)[..16]));
+    let tag = |file: &PageFile| format!("\"{}\"", hex::encode(&Sha256::digest(&file.text)[..16]));
     FILES.iter().map(tag).collect()
 });
 
@@ -86,7 +91,7 @@ fn file(name: &str, headers: &HeaderMap) -> HandlerResult {
     let (file, etag) = found.ok_or_else(|| Problem::new(Code::NotFound, "the page has no such file"))?;
     let mut response: Response = match matches(headers, etag) {
         true => StatusCode::NOT_MODIFIED.into_response(),
-        false => ([(header::CONTENT_TYPE, file.media_type)], file.text).into_response(),
+        false => ([(header::CONTENT_TYPE, file.media_type)], file.text.as_str()).into_response(),
     };
     let told = response.headers_mut();
     let own = HeaderValue::from_str(etag).map_err(|e| Failure::internal(e.to_string()))?;
@@ -106,7 +111,7 @@ fn file(name: &str, headers: &HeaderMap) -> HandlerResult {
 /// # Errors
 /// `internal` where the page is not made as it should be.
 pub fn standalone(report: &Value, preview: &[u8]) -> Result<String> {
-    let text = |name: &str| FILES.iter().find(|file| file.name == name).map_or("", |file| file.text);
+    let text = |name: &str| FILES.iter().find(|file| file.name == name).map_or("", |file| file.text.as_str());
     let script = one_module();
     let style = text("style.css");
     let hash = |text: &str| BASE64.encode(Sha256::digest(text));
@@ -156,8 +161,11 @@ mod tests {
     /// What a page takes to load: the bound that the project sets itself.
     const MAX_BYTES: usize = 120_000;
 
-    fn modules() -> impl Iterator<Item = &'static PageFile> {
-        FILES.iter().filter(|file| file.name.ends_with(".js"))
+    /// Names and sources, indented as they are written.
+    fn modules() -> impl Iterator<Item = (&'static str, String)> {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/http/page");
+        let scripts = FILES.iter().filter(|file| file.name.ends_with(".js"));
+        scripts.map(move |file| (file.name, std::fs::read_to_string(folder.join(file.name)).unwrap()))
     }
 
     #[test]
@@ -169,23 +177,23 @@ mod tests {
     #[test]
     fn modules_can_be_put_one_behind_the_other() {
         let (mut before, mut names) = (BTreeSet::new(), BTreeSet::new());
-        for file in modules() {
-            for line in file.text.lines() {
+        for (module, text) in modules() {
+            for line in text.lines() {
                 if line.starts_with("import ") {
                     let from = line.split_once(" from \"./").and_then(|(_, rest)| rest.strip_suffix("\";"));
-                    assert!(line.contains('{') && !line.contains(" as "), "{}: {line}", file.name);
-                    assert!(from.is_some_and(|from| before.contains(from)), "{}: {line}", file.name);
+                    assert!(line.contains('{') && !line.contains(" as "), "{module}: {line}");
+                    assert!(from.is_some_and(|from| before.contains(from)), "{module}: {line}");
                 }
                 let plain = line.strip_prefix("export ").unwrap_or(line);
                 let plain = plain.strip_prefix("async ").unwrap_or(plain);
                 let named = ["function ", "const ", "let ", "class "].iter().find_map(|kind| plain.strip_prefix(kind));
                 if let Some(named) = named {
                     let name = named.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap();
-                    assert!(names.insert(name), "{}: two modules declare {name:?}", file.name);
+                    assert!(names.insert(name.to_owned()), "{module}: two modules declare {name:?}");
                 }
-                assert!(!line.contains("</script"), "{}: {line}", file.name);
+                assert!(!line.contains("</script"), "{module}: {line}");
             }
-            before.insert(file.name);
+            before.insert(module);
         }
         assert!(names.len() > 40, "the declarations were not found: {}", names.len());
     }

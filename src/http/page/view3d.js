@@ -1,106 +1,104 @@
-// The model in 3D, drawn with WebGL 2 alone.
-
-import { chartColour, RAMPS } from "./colours.js";
+import { chartColour, RAMPS, ramp } from "./colours.js";
+import { RESAMPLED, SEAM } from "./preview.js";
 
 export const MODES = [["texture", "Texture"], ["checker", "Checkerboard"], ["charts", "Charts"], ["density", "Texel density"], ["distortion", "Stretch"], ["resampled", "Resampled"]];
+/** Modes in which a face has a figure of its own, and its vertices are not shared. */
+const BY_FACE = ["density", "distortion", "resampled"];
 
-const VERTEX = `#version 300 es
+// A program for each way to colour, so that nothing is interpolated in vain: COLOUR is 0 for the texture, 1 for the checkerboard, 2 for colours of vertices, 3 for grey.
+const VERTEX = `
 layout(location = 0) in vec3 position;
 layout(location = 1) in vec2 uv;
 layout(location = 2) in vec4 colour;
-layout(location = 3) in vec2 figures;
-layout(location = 4) in uvec2 charts;
-layout(location = 5) in uint bits;
+layout(location = 3) in uvec2 charts;
 uniform mat4 world, camera;
+uniform uint lit;
+uniform bool otherSide;
 out vec3 place;
 out vec2 at;
-out vec3 inside;
-flat out vec4 own;
-flat out vec2 figure;
-flat out uvec2 chart;
-flat out uint flags;
+flat out vec3 own;
+flat out float on;
 void main() {
   vec4 p = world * vec4(position, 1.0);
-  int k = gl_VertexID % 3;
   place = p.xyz;
+#if COLOUR < 2
   at = uv;
-  inside = vec3(k == 0, k == 1, k == 2);
-  own = colour;
-  figure = figures;
-  chart = charts;
-  flags = bits;
+#elif COLOUR == 2
+  own = colour.rgb;
+#endif
+#if LIT
+  on = (otherSide ? charts.y : charts.x) == lit ? 1.0 : 0.0;
+#endif
   gl_Position = camera * p;
 }`;
 
-const FRAGMENT = `#version 300 es
+const FRAGMENT = `
 precision highp float;
-precision highp int;
 in vec3 place;
 in vec2 at;
-in vec3 inside;
-flat in vec4 own;
-flat in vec2 figure;
-flat in uvec2 chart;
-flat in uint flags;
+flat in vec3 own;
+flat in float on;
 uniform sampler2D picture;
 uniform vec3 eye;
 uniform vec2 sheet;
-uniform float median;
-uniform int mode;
-uniform bool textured, wire, seams, otherSide;
-uniform uint lit;
-uniform vec3 low[5];
-uniform vec3 high[5];
 out vec4 pixel;
-vec3 map(vec3 stops[5], float t) {
-  float x = clamp(t, 0.0, 1.0) * 4.0;
-  vec3 c = stops[0];
-  for (int i = 0; i < 4; i++) c = mix(c, stops[i + 1], clamp(x - float(i), 0.0, 1.0));
-  return c;
-}
 void main() {
   vec3 normal = normalize(cross(dFdx(place), dFdy(place)));
   float light = 0.42 + 0.58 * abs(dot(normal, normalize(eye - place)));
-  vec3 c = vec3(0.62);
-  if (mode == 0) {
-    if (textured) { c = texture(picture, at / sheet).rgb; light = mix(1.0, light, 0.28); }
-  } else if (mode == 1) {
-    vec2 cell = floor(at / 16.0), coarse = floor(at / 128.0);
-    float fine = mod(cell.x + cell.y, 2.0), large = mod(coarse.x + coarse.y, 2.0);
-    float blur = clamp(fwidth(at.x + at.y) / 16.0 - 0.4, 0.0, 1.0);
-    c = mix(mix(vec3(0.93, 0.92, 0.89), vec3(0.30, 0.34, 0.40), fine), vec3(0.61), blur);
-    c *= mix(vec3(1.0), vec3(0.86, 0.95, 1.0), large);
-  } else if (mode == 2) {
-    c = own.rgb;
-  } else if (mode == 3) {
-    c = figure.x < -500.0 ? vec3(0.55) : map(low, (figure.x - median) / 4.0 + 0.5);
-  } else if (mode == 4) {
-    c = figure.y < -500.0 ? vec3(0.55) : map(high, (figure.y - 2.0) / 2.0);
-  } else {
-    c = (flags & 128u) != 0u ? vec3(0.90, 0.48, 0.12) : vec3(0.55, 0.66, 0.62);
-  }
-  c *= light;
-  vec3 width = fwidth(inside);
-  if (wire) {
-    vec3 d = smoothstep(vec3(0.0), width * 1.1, inside);
-    c = mix(vec3(0.05), c, 0.45 + 0.55 * min(min(d.x, d.y), d.z));
-  }
-  bool on = lit != 0xffffffffu && (otherSide ? chart.y : chart.x) == lit;
-  if (lit != 0xffffffffu) c = on ? mix(c, vec3(1.0, 0.84, 0.04), 0.62) : c * 0.62;
-  if (seams) {
-    vec3 d = inside / max(width, vec3(1e-6));
-    bool near = ((flags & 8u) != 0u && d.z < 1.4) || ((flags & 16u) != 0u && d.x < 1.4) || ((flags & 32u) != 0u && d.y < 1.4);
-    if (near) c = mode == 0 || mode == 1 ? vec3(0.95, 0.12, 0.25) : vec3(0.04, 0.05, 0.09);
-  }
+#if COLOUR == 0
+  vec3 c = texture(picture, at / sheet).rgb * mix(1.0, light, 0.28);
+#elif COLOUR == 1
+  vec2 cell = floor(at / 16.0), coarse = floor(at / 128.0);
+  float fine = mod(cell.x + cell.y, 2.0), large = mod(coarse.x + coarse.y, 2.0);
+  float blur = clamp(fwidth(at.x + at.y) / 16.0 - 0.4, 0.0, 1.0);
+  vec3 c = mix(mix(vec3(0.93, 0.92, 0.89), vec3(0.30, 0.34, 0.40), fine), vec3(0.61), blur);
+  c *= mix(vec3(1.0), vec3(0.86, 0.95, 1.0), large) * light;
+#elif COLOUR == 2
+  vec3 c = own * light;
+#else
+  vec3 c = vec3(0.62) * light;
+#endif
+#if LIT
+  c = on > 0.5 ? mix(c, vec3(1.0, 0.84, 0.04), 0.62) : c * 0.62;
+#endif
   pixel = vec4(c, 1.0);
 }`;
 
+// Edges are rectangles as wide as \`width\` pixels, a little nearer than the surface that they lie on.
+const EDGE_VERTEX = `
+layout(location = 0) in vec3 from;
+layout(location = 1) in vec3 to;
+uniform mat4 world, camera;
+uniform vec3 eye;
+uniform vec2 size;
+uniform float width;
+vec4 seen(vec3 p) { return camera * vec4(mix((world * vec4(p, 1.0)).xyz, eye, 0.003), 1.0); }
+void main() {
+  vec4 p = seen(from), q = seen(to);
+  const float near = 1e-5;
+  if (p.w < near && q.w < near) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; }
+  if (p.w < near) p = mix(p, q, (near - p.w) / (q.w - p.w));
+  if (q.w < near) q = mix(q, p, (near - q.w) / (p.w - q.w));
+  vec2 along = (q.xy / q.w - p.xy / p.w) * size;
+  vec2 across = vec2(-along.y, along.x) / max(length(along), 1e-6);
+  vec4 end = gl_VertexID < 2 ? p : q;
+  end.xy += across * (gl_VertexID % 2 == 0 ? width : -width) / size * end.w;
+  gl_Position = end;
+}`;
+
+const EDGE_FRAGMENT = `
+precision mediump float;
+uniform vec4 tint;
+out vec4 pixel;
+void main() { pixel = tint; }`;
+
 const NOT_LIT = 0xffffffff;
-const STRIDE = 44;
+/** Bytes of a vertex. */
+const STRIDE = 32;
 /** Milliseconds that a view may take, of two in a frame. */
-const FLUENT = 14;
-/** A figure that a face does not have. */
-const UNKNOWN = -1000;
+const FLUENT = 13;
+/** Pixels of a view at rest, at most. */
+const MOST_PIXELS = 12e6;
 
 /** A camera that looks at a point: shared by both sides. */
 export class Orbit {
@@ -135,10 +133,9 @@ export class Orbit {
     const { right, up, back } = this.axes, { eye } = this;
     const f = 1 / Math.tan(0.3), near = Math.max(this.distance - 2 * this.radius, this.distance * 0.01), far = this.distance + 4 * this.radius;
     const fx = aspect < 1 ? f : f / aspect, fy = aspect < 1 ? f * aspect : f;
-    const dot = (a) => -(a[0] * eye[0] + a[1] * eye[1] + a[2] * eye[2]);
     const a = (far + near) / (near - far), b = (2 * far * near) / (near - far);
     return new Float32Array([right[0] * fx, up[0] * fy, back[0] * a, -back[0], right[1] * fx, up[1] * fy, back[1] * a, -back[1],
-      right[2] * fx, up[2] * fy, back[2] * a, -back[2], dot(right) * fx, dot(up) * fy, dot(back) * a + b, -dot(back)]);
+      right[2] * fx, up[2] * fy, back[2] * a, -back[2], -dot(right, eye) * fx, -dot(up, eye) * fy, b - dot(back, eye) * a, dot(back, eye)]);
   }
 
   /** Where the ray through a point of the view (-1 to 1) begins, and its direction. */
@@ -151,6 +148,10 @@ export class Orbit {
 }
 
 const apply = (m, [x, y, z]) => [0, 1, 2].map((k) => m[k] * x + m[4 + k] * y + m[8 + k] * z + m[12 + k]);
+
+const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 
 /** The box of a side's instances, over all atlases. */
 export function bounds(atlases, which) {
@@ -182,45 +183,64 @@ export class ModelView {
   constructor(canvas, orbit, handlers) {
     Object.assign(this, { canvas, orbit, handlers, pointers: new Map(), textures: new Map(), buffers: [], lit: null, share: 1 });
     this.shown = { mode: "texture", wire: false, seams: false };
-    const gl = (this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false, powerPreference: "high-performance" }));
+    // At rest there are four pixels for one of the screen instead.
+    const gl = (this.gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" }));
     if (!gl) throw new Error("no WebGL 2");
     this.prepare();
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    canvas.addEventListener("webglcontextrestored", () => { this.textures.clear(); this.prepare(); if (this.atlases) this.load(this.atlases, this.which); });
+    canvas.addEventListener("webglcontextrestored", () => { this.textures.clear(); this.buffers = []; this.prepare(); if (this.atlases) this.load(this.atlases, this.which); });
     this.listen();
   }
 
   prepare() {
-    const { gl } = this, program = (this.program = gl.createProgram());
-    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
+    this.programs = new Map();
+    this.use("surface", 3, false);
+    this.gl.enable(this.gl.DEPTH_TEST);
+    this.gl.blendFunc(this.gl.SRC_ALPHA, this.gl.ONE_MINUS_SRC_ALPHA);
+  }
+
+  /** Takes a program, made when it is first wanted; gives the places of its uniforms. */
+  use(kind, colour, lit) {
+    const { gl } = this, key = `${kind} ${colour} ${lit}`;
+    let made = this.programs.get(key);
+    if (!made) {
+      const program = gl.createProgram(), sources = kind === "surface" ? [VERTEX, FRAGMENT] : [EDGE_VERTEX, EDGE_FRAGMENT];
+      for (const [k, type] of [gl.VERTEX_SHADER, gl.FRAGMENT_SHADER].entries()) {
+        const shader = gl.createShader(type);
+        gl.shaderSource(shader, `#version 300 es\n#define COLOUR ${colour}\n#define LIT ${lit ? 1 : 0}\n${sources[k]}`);
+        gl.compileShader(shader);
+        gl.attachShader(program, shader);
+      }
+      gl.linkProgram(program);
+      if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) || "no shaders");
+      const at = new Map();
+      made = { program, uniform: (name) => { if (!at.has(name)) at.set(name, gl.getUniformLocation(program, name)); return at.get(name); } };
+      this.programs.set(key, made);
     }
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) || "no shaders");
-    this.at = new Map();
-    this.uniform = (name) => { if (!this.at.has(name)) this.at.set(name, gl.getUniformLocation(program, name)); return this.at.get(name); };
-    gl.enable(gl.DEPTH_TEST);
+    gl.useProgram(made.program);
+    return made.uniform;
   }
 
   /** Takes a side of all atlases. */
   load(atlases, which) {
     Object.assign(this, { atlases, which });
-    const { gl } = this;
-    this.buffers.forEach((b) => { gl.deleteVertexArray(b.array); gl.deleteBuffer(b.buffer); });
+    for (const own of this.buffers) for (const name of ["shared", "byFace", "seams", "wire"]) this.drop(own[name]);
     this.buffers = atlases.map((atlas, n) => this.buffer(atlas[which], n));
-    const known = atlases.flatMap((a) => [...(a.before.layout?.logDensity ?? a.after.layout?.logDensity ?? [])]).filter((v) => !Number.isNaN(v)).sort((a, b) => a - b);
+    const known = Float32Array.from(atlases.flatMap((a) => [...(a.before.layout?.logDensity ?? a.after.layout?.logDensity ?? [])]).filter((v) => !Number.isNaN(v))).sort();
     this.median = known[known.length >> 1] ?? 0;
     this.draw();
   }
 
+  drop(held) {
+    if (!held) return;
+    this.gl.deleteVertexArray(held.array);
+    held.buffers.forEach((b) => this.gl.deleteBuffer(b));
+  }
+
+  /** Vertices that faces share, with the triangles by part and page. */
   buffer(side, atlas) {
-    const { gl } = this, { layout: l } = side, data = new ArrayBuffer(STRIDE * 3 * side.shown);
-    const floats = new Float32Array(data), words = new Uint32Array(data), octets = new Uint8Array(data);
-    const runs = [];
-    let vertex = 0;
+    const { layout: l, corners } = side, runs = [], order = new Uint32Array(side.shown);
+    let at = 0;
     for (const part of side.parts) {
       const pages = new Map();
       for (let f = part.first; f < part.first + part.count; f++) {
@@ -229,37 +249,110 @@ export class ModelView {
         pages.get(page).push(f);
       }
       for (const [page, faces] of pages) {
-        runs.push({ page, first: vertex, count: 3 * faces.length, matrices: part.matrices.map((m) => new Float32Array(m)) });
-        for (const f of faces) {
-          const colour = l ? chartColour(l.charts[f]) : [150, 155, 160];
-          for (let k = 0; k < 3; k++, vertex++) {
-            const at = (STRIDE / 4) * vertex, p = 3 * side.corners[3 * f + k];
-            floats.set(side.positions.subarray(p, p + 3), at);
-            if (l) {
-              const c = 2 * l.corners[3 * f + k];
-              floats[at + 3] = l.uvs[c];
-              floats[at + 4] = l.uvs[c + 1];
-            }
-            octets.set(colour, STRIDE * vertex + 20);
-            floats[at + 6] = l && !Number.isNaN(l.logDensity[f]) ? l.logDensity[f] : UNKNOWN;
-            floats[at + 7] = l && !Number.isNaN(l.logDistortion[f]) ? l.logDistortion[f] : UNKNOWN;
-            words[at + 8] = l ? l.charts[f] : NOT_LIT - 1;
-            words[at + 9] = l ? l.counterparts[f] : NOT_LIT - 1;
-            words[at + 10] = l ? l.flags[f] : 0;
-          }
-        }
+        runs.push({ page, first: 3 * at, count: 3 * faces.length, matrices: part.matrices });
+        for (const f of faces) order[at++] = f;
       }
     }
+    // A vertex is shared by faces that have its position, its UV, its chart and its chart on the other side: those of one UV are in a list.
+    const indices = new Uint32Array(3 * at), firsts = new Int32Array(l ? l.uvs.length / 2 : side.positions.length / 3).fill(-1), nexts = [], faceOf = [], cornerOf = [];
+    for (let i = 0; i < 3 * at; i++) {
+      const f = order[Math.floor(i / 3)], corner = 3 * f + (i % 3), head = l ? l.corners[corner] : corners[corner];
+      let v = firsts[head];
+      while (v >= 0 && (corners[cornerOf[v]] !== corners[corner] || (l && (l.charts[faceOf[v]] !== l.charts[f] || l.counterparts[faceOf[v]] !== l.counterparts[f])))) v = nexts[v];
+      if (v < 0) {
+        v = faceOf.length;
+        nexts.push(firsts[head]);
+        firsts[head] = v;
+        faceOf.push(f);
+        cornerOf.push(corner);
+      }
+      indices[i] = v;
+    }
+    const colours = Array.from({ length: l ? side.charts : 0 }, (_, chart) => chartColour(chart));
+    const shared = this.vertices(side, cornerOf, (f) => colours[l.charts[f]], indices);
+    return { side, atlas, runs, order, shared, byFace: null, seams: null, wire: null };
+  }
+
+  /** Uploads vertices, each a corner of a face. */
+  vertices(side, list, colourOf, indices) {
+    const { gl } = this, { layout: l } = side, data = new ArrayBuffer(STRIDE * list.length);
+    const floats = new Float32Array(data), words = new Uint32Array(data), octets = new Uint8Array(data);
+    for (let v = 0; v < list.length; v++) {
+      const corner = list[v], f = Math.floor(corner / 3), at = (STRIDE / 4) * v, p = 3 * side.corners[corner];
+      for (let k = 0; k < 3; k++) floats[at + k] = side.positions[p + k];
+      if (!l) { words[at + 6] = words[at + 7] = NOT_LIT - 1; continue; }
+      const c = 2 * l.corners[corner];
+      floats[at + 3] = l.uvs[c];
+      floats[at + 4] = l.uvs[c + 1];
+      octets.set(colourOf(f), STRIDE * v + 20);
+      words[at + 6] = l.charts[f];
+      words[at + 7] = l.counterparts[f];
+    }
+    const array = gl.createVertexArray(), buffers = [gl.createBuffer()];
+    gl.bindVertexArray(array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers[0]);
+    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+    [0, 1, 2, 3].forEach((i) => gl.enableVertexAttribArray(i));
+    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, STRIDE, 0);
+    gl.vertexAttribPointer(1, 2, gl.FLOAT, false, STRIDE, 12);
+    gl.vertexAttribPointer(2, 4, gl.UNSIGNED_BYTE, true, STRIDE, 20);
+    gl.vertexAttribIPointer(3, 2, gl.UNSIGNED_INT, STRIDE, 24);
+    if (indices) {
+      buffers.push(gl.createBuffer());
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffers[1]);
+      gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, indices, gl.STATIC_DRAW);
+    }
+    gl.bindVertexArray(null);
+    return { array, buffers };
+  }
+
+  /** What of a buffer a way of drawing needs, made when it is first wanted. */
+  part(own, name) {
+    if (name === "shared") return own.shared;
+    const key = BY_FACE.includes(name) ? "byFace" : name;
+    if (own[key] && (key !== "byFace" || own[key].mode === name)) return own[key];
+    this.drop(own[key]);
+    if (key !== "byFace") return (own[key] = this.edges(own, name === "seams" ? SEAM : 0));
+    const { layout: l } = own.side, grey = [140, 140, 140];
+    const map = (stops, v, low, range) => (Number.isNaN(v) ? grey : ramp(stops, (v - low) / range));
+    const colourOf = {
+      density: (f) => map(RAMPS.density, l.logDensity[f], this.median - 2, 4),
+      distortion: (f) => map(RAMPS.distortion, l.logDistortion[f], 2, 2),
+      resampled: (f) => (l.flags[f] & RESAMPLED ? [230, 122, 31] : [140, 168, 158]),
+    }[name];
+    const list = new Uint32Array(3 * own.order.length);
+    own.order.forEach((f, i) => { for (let k = 0; k < 3; k++) list[3 * i + k] = 3 * f + k; });
+    own.byFace = this.vertices(own.side, list, colourOf, null);
+    own.byFace.mode = name;
+    return own.byFace;
+  }
+
+  /** Edges of faces with a bit, each once, by part. */
+  edges(own, bit) {
+    const { gl } = this, { corners, positions, parts, layout: l } = own.side, ends = [], runs = [];
+    const n = positions.length / 3;
+    for (const part of parts) {
+      const first = ends.length / 2, known = new Set();
+      for (let f = part.first; f < part.first + part.count; f++) {
+        for (let k = 0; k < 3; k++) {
+          if (bit && !(l && l.flags[f] & (bit << k))) continue;
+          const a = corners[3 * f + k], b = corners[3 * f + ((k + 1) % 3)], key = a < b ? a * n + b : b * n + a;
+          if (known.has(key)) continue;
+          known.add(key);
+          ends.push(a, b);
+        }
+      }
+      runs.push({ first, count: ends.length / 2 - first, matrices: part.matrices });
+    }
+    const data = new Float32Array(3 * ends.length);
+    ends.forEach((v, i) => { for (let k = 0; k < 3; k++) data[3 * i + k] = positions[3 * v + k]; });
     const array = gl.createVertexArray(), buffer = gl.createBuffer();
     gl.bindVertexArray(array);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
-    [[0, 3, gl.FLOAT, 0], [1, 2, gl.FLOAT, 12], [3, 2, gl.FLOAT, 24]].forEach(([i, n, kind, offset]) => { gl.enableVertexAttribArray(i); gl.vertexAttribPointer(i, n, kind, false, STRIDE, offset); });
-    gl.enableVertexAttribArray(2);
-    gl.vertexAttribPointer(2, 4, gl.UNSIGNED_BYTE, true, STRIDE, 20);
-    [[4, 2, 32], [5, 1, 40]].forEach(([i, n, offset]) => { gl.enableVertexAttribArray(i); gl.vertexAttribIPointer(i, n, gl.UNSIGNED_INT, STRIDE, offset); });
+    [0, 1].forEach((i) => { gl.enableVertexAttribArray(i); gl.vertexAttribDivisor(i, 1); });
     gl.bindVertexArray(null);
-    return { array, buffer, runs, side, atlas };
+    return { array, buffers: [buffer], runs };
   }
 
   /** Shows the pictures of a slot, by name. */
@@ -307,8 +400,9 @@ export class ModelView {
 
   render() {
     const started = performance.now();
-    const { gl, canvas, orbit } = this, ratio = Math.min(devicePixelRatio || 1, 2) * (this.moving ? this.share : 1);
-    const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+    const { gl, canvas, orbit, shown } = this, ratio = Math.min(devicePixelRatio || 1, 2), area = canvas.clientWidth * canvas.clientHeight;
+    const scale = this.moving ? ratio * this.share : Math.max(ratio, Math.min(2 * ratio, 2, Math.sqrt(MOST_PIXELS / Math.max(1, area))));
+    const width = Math.round(canvas.clientWidth * scale), height = Math.round(canvas.clientHeight * scale);
     if (!width || !height || gl.isContextLost()) return;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     canvas.dataset.camera = orbit.toString();
@@ -316,64 +410,74 @@ export class ModelView {
     gl.viewport(0, 0, width, height);
     gl.clearColor(...clear.map((v) => parseInt(v, 16) / 255), 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.useProgram(this.program);
-    const u = this.uniform, shown = this.shown;
-    gl.uniformMatrix4fv(u("camera"), false, orbit.matrix(width / height));
-    gl.uniform3fv(u("eye"), orbit.eye);
-    gl.uniform1i(u("mode"), MODES.findIndex(([name]) => name === shown.mode));
-    gl.uniform1i(u("wire"), shown.wire);
-    gl.uniform1i(u("seams"), shown.seams);
-    gl.uniform1f(u("median"), this.median);
-    gl.uniform3fv(u("low"), RAMPS.density.flat().map((v) => v / 255));
-    gl.uniform3fv(u("high"), RAMPS.distortion.flat().map((v) => v / 255));
-    for (const { array, runs, side, atlas } of this.buffers) {
-      const lit = this.lit;
-      gl.uniform1ui(u("lit"), !lit ? NOT_LIT : lit.atlas === atlas ? lit.chart : NOT_LIT - 2);
-      gl.uniform1i(u("otherSide"), lit?.otherSide ?? false);
-      gl.bindVertexArray(array);
-      for (const run of runs) {
+    const camera = orbit.matrix(width / height), { eye } = orbit, { lit } = this;
+    for (const own of this.buffers) {
+      const { side, atlas } = own, byFace = side.layout && BY_FACE.includes(shown.mode);
+      gl.bindVertexArray(this.part(own, byFace ? shown.mode : "shared").array);
+      for (const run of own.runs) {
         const texture = this.textures.get(`${atlas} ${this.slot} ${run.page}`);
-        gl.uniform1i(u("textured"), !!texture);
+        const colour = shown.mode === "texture" ? (texture ? 0 : 3) : !side.layout ? 3 : shown.mode === "checker" ? 1 : 2;
+        const u = this.use("surface", colour, lit !== null);
+        gl.uniformMatrix4fv(u("camera"), false, camera);
+        gl.uniform3fv(u("eye"), eye);
+        gl.uniform1ui(u("lit"), lit?.atlas === atlas ? lit.chart : NOT_LIT);
+        gl.uniform1i(u("otherSide"), lit?.otherSide ?? false);
         gl.bindTexture(gl.TEXTURE_2D, texture ?? null);
         gl.uniform2fv(u("sheet"), side.sheets[run.page] ?? [1, 1]);
         for (const m of run.matrices) {
           gl.uniformMatrix4fv(u("world"), false, m);
-          gl.drawArrays(gl.TRIANGLES, run.first, run.count);
+          if (byFace) gl.drawArrays(gl.TRIANGLES, run.first, run.count);
+          else gl.drawElements(gl.TRIANGLES, run.count, gl.UNSIGNED_INT, 4 * run.first);
         }
       }
     }
+    const textured = shown.mode === "texture" || shown.mode === "checker", wide = scale / ratio;
+    if (shown.wire) this.drawEdges("wire", camera, [width, height], wide, [0.05, 0.05, 0.06, 0.45]);
+    if (shown.seams) this.drawEdges("seams", camera, [width, height], 1.5 * Math.max(wide, 0.5), textured ? [0.95, 0.12, 0.25, 1] : [0.04, 0.05, 0.09, 1]);
     gl.bindVertexArray(null);
     if (!this.moving) return;
     // What is read has been drawn.
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
-    const took = performance.now() - started;
-    if (took > FLUENT) this.share = Math.max(0.25, this.share * 0.7);
-    else if (took < FLUENT / 3) this.share = Math.min(1, this.share * 1.15);
+    this.share = Math.min(1, Math.max(0.25, this.share * Math.min(Math.max(Math.sqrt(FLUENT / (performance.now() - started)), 0.5), 1.15)));
+  }
+
+  drawEdges(name, camera, size, width, tint) {
+    const { gl } = this, u = this.use("edges", 3, false);
+    gl.uniformMatrix4fv(u("camera"), false, camera);
+    gl.uniform3fv(u("eye"), this.orbit.eye);
+    gl.uniform2fv(u("size"), size);
+    gl.uniform1f(u("width"), width);
+    gl.uniform4fv(u("tint"), tint);
+    gl.enable(gl.BLEND);
+    for (const own of this.buffers) {
+      const { array, buffers, runs } = this.part(own, name);
+      gl.bindVertexArray(array);
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffers[0]);
+      for (const run of runs) {
+        if (!run.count) continue;
+        [0, 1].forEach((i) => gl.vertexAttribPointer(i, 3, gl.FLOAT, false, 24, 24 * run.first + 12 * i));
+        for (const m of run.matrices) {
+          gl.uniformMatrix4fv(u("world"), false, m);
+          gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, run.count);
+        }
+      }
+    }
+    gl.disable(gl.BLEND);
   }
 
   /** Atlas and face under a point of the canvas, in CSS pixels. */
   faceAt(x, y) {
-    const { canvas } = this, aspect = canvas.clientWidth / canvas.clientHeight;
-    const [from, along] = this.orbit.ray((2 * x) / canvas.clientWidth - 1, 1 - (2 * y) / canvas.clientHeight, aspect);
+    const { canvas } = this, [from, along] = this.orbit.ray((2 * x) / canvas.clientWidth - 1, 1 - (2 * y) / canvas.clientHeight, canvas.clientWidth / canvas.clientHeight);
     let best = Infinity, found = null;
     this.atlases.forEach((atlas, n) => {
-      const side = atlas[this.which], p = side.positions;
-      for (const part of side.parts) {
-        for (const m of part.matrices) {
-          for (let f = part.first; f < part.first + part.count; f++) {
-            const [i, j, k] = [3 * side.corners[3 * f], 3 * side.corners[3 * f + 1], 3 * side.corners[3 * f + 2]];
-            const world = (q, r) => m[r] * p[q] + m[4 + r] * p[q + 1] + m[8 + r] * p[q + 2] + m[12 + r];
-            const a0 = world(i, 0), a1 = world(i, 1), a2 = world(i, 2);
-            const e0 = world(j, 0) - a0, e1 = world(j, 1) - a1, e2 = world(j, 2) - a2, g0 = world(k, 0) - a0, g1 = world(k, 1) - a1, g2 = world(k, 2) - a2;
-            const h0 = along[1] * g2 - along[2] * g1, h1 = along[2] * g0 - along[0] * g2, h2 = along[0] * g1 - along[1] * g0;
-            const d = e0 * h0 + e1 * h1 + e2 * h2;
-            if (d === 0) continue;
-            const s0 = from[0] - a0, s1 = from[1] - a1, s2 = from[2] - a2, u = (s0 * h0 + s1 * h1 + s2 * h2) / d;
-            if (u < 0 || u > 1) continue;
-            const q0 = s1 * e2 - s2 * e1, q1 = s2 * e0 - s0 * e2, q2 = s0 * e1 - s1 * e0, v = (along[0] * q0 + along[1] * q1 + along[2] * q2) / d;
-            if (v < 0 || u + v > 1) continue;
-            const t = (g0 * q0 + g1 * q1 + g2 * q2) / d;
-            if (t > 0 && t < best) { best = t; found = { atlas: n, face: f }; }
+      const { parts, positions, corners } = atlas[this.which];
+      for (const { first, count, matrices } of parts) {
+        for (const m of matrices) {
+          for (let face = first; face < first + count; face++) {
+            const [a, b, c] = [0, 1, 2].map((k) => apply(m, positions.subarray(3 * corners[3 * face + k], 3 * corners[3 * face + k] + 3)));
+            const e = minus(b, a), g = minus(c, a), h = cross(along, g), s = minus(from, a), q = cross(s, e), d = dot(e, h);
+            const u = dot(s, h) / d, v = dot(along, q) / d, t = dot(g, q) / d;
+            if (u >= 0 && v >= 0 && u + v <= 1 && t > 0 && t < best) { best = t; found = { atlas: n, face }; }
           }
         }
       }
