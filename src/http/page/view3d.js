@@ -41,12 +41,17 @@ flat in float on;
 uniform sampler2D picture;
 uniform vec3 eye;
 uniform vec2 sheet;
+uniform float cutoff;
 out vec4 pixel;
 void main() {
+  float alpha = 1.0;
   vec3 normal = normalize(cross(dFdx(place), dFdy(place)));
   float light = 0.42 + 0.58 * abs(dot(normal, normalize(eye - place)));
 #if COLOUR == 0
-  vec3 c = texture(picture, at / sheet).rgb * mix(1.0, light, 0.28);
+  vec4 texel = texture(picture, at / sheet);
+  if (texel.a < cutoff) discard;
+  if (cutoff < 0.0) alpha = texel.a;
+  vec3 c = texel.rgb * mix(1.0, light, 0.28);
 #elif COLOUR == 1
   vec2 cell = floor(at / 16.0), coarse = floor(at / 128.0);
   float fine = mod(cell.x + cell.y, 2.0), large = mod(coarse.x + coarse.y, 2.0);
@@ -61,7 +66,7 @@ void main() {
 #if LIT
   c = on > 0.5 ? mix(c, vec3(1.0, 0.84, 0.04), 0.62) : c * 0.62;
 #endif
-  pixel = vec4(c, 1.0);
+  pixel = vec4(c, alpha);
 }`;
 
 // Edges are rectangles as wide as \`width\` pixels, a little nearer than the surface that they lie on.
@@ -249,7 +254,7 @@ export class ModelView {
         pages.get(page).push(f);
       }
       for (const [page, faces] of pages) {
-        runs.push({ page, first: 3 * at, count: 3 * faces.length, matrices: part.matrices });
+        runs.push({ page, first: 3 * at, count: 3 * faces.length, matrices: part.matrices, alpha: part.alpha });
         for (const f of faces) order[at++] = f;
       }
     }
@@ -410,27 +415,16 @@ export class ModelView {
     gl.viewport(0, 0, width, height);
     gl.clearColor(...clear.map((v) => parseInt(v, 16) / 255), 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const camera = orbit.matrix(width / height), { eye } = orbit, { lit } = this;
-    for (const own of this.buffers) {
-      const { side, atlas } = own, byFace = side.layout && BY_FACE.includes(shown.mode);
-      gl.bindVertexArray(this.part(own, byFace ? shown.mode : "shared").array);
-      for (const run of own.runs) {
-        const texture = this.textures.get(`${atlas} ${this.slot} ${run.page}`);
-        const colour = shown.mode === "texture" ? (texture ? 0 : 3) : !side.layout ? 3 : shown.mode === "checker" ? 1 : 2;
-        const u = this.use("surface", colour, lit !== null);
-        gl.uniformMatrix4fv(u("camera"), false, camera);
-        gl.uniform3fv(u("eye"), eye);
-        gl.uniform1ui(u("lit"), lit?.atlas === atlas ? lit.chart : NOT_LIT);
-        gl.uniform1i(u("otherSide"), lit?.otherSide ?? false);
-        gl.bindTexture(gl.TEXTURE_2D, texture ?? null);
-        gl.uniform2fv(u("sheet"), side.sheets[run.page] ?? [1, 1]);
-        for (const m of run.matrices) {
-          gl.uniformMatrix4fv(u("world"), false, m);
-          if (byFace) gl.drawArrays(gl.TRIANGLES, run.first, run.count);
-          else gl.drawElements(gl.TRIANGLES, run.count, gl.UNSIGNED_INT, 4 * run.first);
-        }
-      }
+    const camera = orbit.matrix(width / height);
+    // What lets other things through is drawn behind them.
+    const isClear = (run) => shown.mode === "texture" && this.slot === "base_color" && run.alpha === "blend";
+    for (const through of [false, true]) {
+      gl[through ? "enable" : "disable"](gl.BLEND);
+      gl.depthMask(!through);
+      for (const own of this.buffers) this.drawSurface(own, own.runs.filter((run) => isClear(run) === through), camera);
     }
+    gl.disable(gl.BLEND);
+    gl.depthMask(true);
     const textured = shown.mode === "texture" || shown.mode === "checker", wide = scale / ratio;
     if (shown.wire) this.drawEdges("wire", camera, [width, height], wide, [0.05, 0.05, 0.06, 0.45]);
     if (shown.seams) this.drawEdges("seams", camera, [width, height], 1.5 * Math.max(wide, 0.5), textured ? [0.95, 0.12, 0.25, 1] : [0.04, 0.05, 0.09, 1]);
@@ -439,6 +433,29 @@ export class ModelView {
     // What is read has been drawn.
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     this.share = Math.min(1, Math.max(0.25, this.share * Math.min(Math.max(Math.sqrt(FLUENT / (performance.now() - started)), 0.5), 1.15)));
+  }
+
+  drawSurface(own, runs, camera) {
+    const { gl, shown, lit } = this, { side, atlas } = own, byFace = side.layout && BY_FACE.includes(shown.mode);
+    gl.bindVertexArray(this.part(own, byFace ? shown.mode : "shared").array);
+    for (const run of runs) {
+      const texture = this.textures.get(`${atlas} ${this.slot} ${run.page}`);
+      const colour = shown.mode === "texture" ? (texture ? 0 : 3) : !side.layout ? 3 : shown.mode === "checker" ? 1 : 2;
+      const u = this.use("surface", colour, lit !== null);
+      gl.uniformMatrix4fv(u("camera"), false, camera);
+      gl.uniform3fv(u("eye"), this.orbit.eye);
+      gl.uniform1ui(u("lit"), lit?.atlas === atlas ? lit.chart : NOT_LIT);
+      gl.uniform1i(u("otherSide"), lit?.otherSide ?? false);
+      // Nothing is below 0; -1 is a blend.
+      gl.uniform1f(u("cutoff"), this.slot !== "base_color" ? 0 : run.alpha === "blend" ? -1 : (run.alpha ?? 0));
+      gl.bindTexture(gl.TEXTURE_2D, texture ?? null);
+      gl.uniform2fv(u("sheet"), side.sheets[run.page] ?? [1, 1]);
+      for (const m of run.matrices) {
+        gl.uniformMatrix4fv(u("world"), false, m);
+        if (byFace) gl.drawArrays(gl.TRIANGLES, run.first, run.count);
+        else gl.drawElements(gl.TRIANGLES, run.count, gl.UNSIGNED_INT, 4 * run.first);
+      }
+    }
   }
 
   drawEdges(name, camera, size, width, tint) {

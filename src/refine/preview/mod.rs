@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use self::container::Sections;
 use self::pages::{Share, after_page, before_page};
-use self::side::{Counterparts, side};
+use self::side::{Counterparts, ShownPrimitive, side};
 use super::group::Group;
 use super::load::Loaded;
 use super::refinement::Refinement;
@@ -82,25 +82,33 @@ fn with_budget(
         };
         let before = charts_of(&set.atlas);
         let after = (!r.kept).then(|| charts_of(&r.atlas));
-        let matrices = |primitive: usize| -> Vec<[f32; 16]> {
-            let Some(model) = model_of(r.group, primitive) else { return Vec::new() };
-            let own = set.primitives.get(primitive).and_then(|p| instances[model].get(p.mesh));
-            own.into_iter().flatten().map(|m| m.as_mat4().to_cols_array()).collect()
+        let shown_primitive = |primitive: usize| {
+            let found = model_of(r.group, primitive).zip(set.primitives.get(primitive));
+            let Some((model, own)) = found else { return ShownPrimitive::default() };
+            let matrices = instances[model].get(own.mesh).into_iter().flatten();
+            let material = own.material.and_then(|m| loaded.models[model].index.materials.get(m));
+            ShownPrimitive {
+                matrices: matrices.map(|m| m.as_mat4().to_cols_array()).collect(),
+                alpha: material.map(|m| m.alpha).unwrap_or_default(),
+            }
         };
         let counterparts = Counterparts::new(r, before.1.as_ref(), after.as_ref().and_then(|a| a.1.as_ref()));
         let resampled = resampled_faces(r);
         let (told, faces) = side(
             &set.atlas,
             &before,
-            &side::Extras { counterparts: &counterparts.of_before, resampled: &[], matrices: &matrices },
+            &side::Extras { counterparts: &counterparts.of_before, resampled: &[], primitive: &shown_primitive },
             most(set.atlas.face_count()),
             &mut sections,
         )?;
         shown += faces;
         let told_after = match &after {
             Some(derived) => {
-                let extras =
-                    side::Extras { counterparts: &counterparts.of_after, resampled: &resampled, matrices: &matrices };
+                let extras = side::Extras {
+                    counterparts: &counterparts.of_after,
+                    resampled: &resampled,
+                    primitive: &shown_primitive,
+                };
                 let (told, faces) = side(&r.atlas, derived, &extras, most(r.atlas.face_count()), &mut sections)?;
                 shown += faces;
                 told

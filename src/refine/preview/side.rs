@@ -8,6 +8,7 @@ use super::simplify::{ShownFace, simplified};
 use crate::atlas::{Atlas, Charts, FaceId, Topology, orientation};
 use crate::error::Result;
 use crate::metrics::{chart_orientations, distortion_by_face, texel_density};
+use crate::texture::Alpha;
 
 /// Parts of a texel that UVs are told in.
 const UV_STEPS: f64 = 256.0;
@@ -26,8 +27,17 @@ pub(super) struct Extras<'a> {
     pub counterparts: &'a [u32],
     /// By face, whether it was resampled; empty where none was.
     pub resampled: &'a [bool],
-    /// By primitive, the transforms of the nodes that show it.
-    pub matrices: &'a dyn Fn(usize) -> Vec<[f32; 16]>,
+    /// By primitive, how it is shown.
+    pub primitive: &'a dyn Fn(usize) -> ShownPrimitive,
+}
+
+/// How a primitive is shown.
+#[derive(Default)]
+pub(super) struct ShownPrimitive {
+    /// The transforms of the nodes that show it.
+    pub matrices: Vec<[f32; 16]>,
+    /// What its material does with alpha.
+    pub alpha: Alpha,
 }
 
 /// By face, the chart on the other side that it lies in.
@@ -95,15 +105,20 @@ pub(super) fn side(
     Ok((told, faces.len()))
 }
 
-/// Runs of faces of one primitive, with the transforms that show them.
+/// Runs of faces of one primitive, and how they are shown.
 fn parts(atlas: &Atlas, faces: &[ShownFace], extras: &Extras<'_>) -> Vec<Value> {
     let primitive = |f: &ShownFace| atlas.provenance[f.face.index()].primitive;
     let mut first = 0;
     let runs = faces.chunk_by(|a, b| primitive(a) == primitive(b));
     runs.map(|run| {
-        let matrices = (extras.matrices)(primitive(&run[0]) as usize);
+        let shown = (extras.primitive)(primitive(&run[0]) as usize);
+        let alpha = match shown.alpha {
+            Alpha::Opaque => Value::Null,
+            Alpha::Mask(cutoff) => json!(cutoff),
+            Alpha::Blend => json!("blend"),
+        };
         first += run.len();
-        json!({ "first": first - run.len(), "count": run.len(), "matrices": matrices })
+        json!({ "first": first - run.len(), "count": run.len(), "matrices": shown.matrices, "alpha": alpha })
     })
     .collect()
 }

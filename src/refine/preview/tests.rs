@@ -2,7 +2,7 @@ use serde_json::Value;
 
 use super::container::{MAGIC, Sections, VERSION};
 use super::*;
-use crate::asset::{File, sample};
+use crate::asset::{File, Limits, load, sample};
 use crate::refine::options::Options;
 use crate::refine::run::{Input, Outcome, refine};
 
@@ -38,7 +38,10 @@ fn numbers(told: &Value, sections: &[u8]) -> Vec<u32> {
 }
 
 fn refined(model: &str, recipe: &str) -> Outcome {
-    let bytes = sample::sample(model).unwrap();
+    refined_glb(sample::sample(model).unwrap(), recipe)
+}
+
+fn refined_glb(bytes: Vec<u8>, recipe: &str) -> Outcome {
     let input =
         Input { models: vec![vec![File { path: "model.glb".to_owned(), bytes }]], extras: true, ..Input::default() };
     refine(&input, &Options::preset(recipe), &Context::silent()).unwrap()
@@ -57,6 +60,24 @@ fn numbers_come_back_whatever_they_are() {
         let file = sections.file(&told).unwrap();
         let (told, sections) = opened(&file);
         assert_eq!(numbers(&told, sections), values, "{width}");
+    }
+}
+
+#[test]
+fn alpha_is_that_of_the_material() {
+    for (material, told) in [
+        (serde_json::json!({}), Value::Null),
+        (serde_json::json!({ "alphaMode": "MASK" }), serde_json::json!(0.5)),
+        (serde_json::json!({ "alphaMode": "MASK", "alphaCutoff": 0.25 }), serde_json::json!(0.25)),
+        (serde_json::json!({ "alphaMode": "BLEND" }), serde_json::json!("blend")),
+    ] {
+        let sample = File { path: "model.glb".to_owned(), bytes: sample::sample("textured").unwrap() };
+        let (mut doc, _) = load(&[sample], None, &Limits::default()).unwrap();
+        doc.json["materials"][0].as_object_mut().unwrap().extend(material.as_object().unwrap().clone());
+        let bytes = doc.to_glb().unwrap();
+        let outcome = refined_glb(bytes, "pack");
+        let (header, _) = opened(preview_of(&outcome));
+        assert_eq!(header["atlases"][0]["before"]["parts"][0]["alpha"], told);
     }
 }
 
