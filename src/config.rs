@@ -79,6 +79,10 @@ pub struct Serve {
     /// Who is told.
     #[command(flatten)]
     pub webhooks: Webhooks,
+    /// Collector that traces are sent to by OTLP over HTTP, such as http://127.0.0.1:4318; OTEL_EXPORTER_OTLP_ENDPOINT names it too. Without it, traces
+    /// are in the logs and in webhooks alone.
+    #[arg(long, env = "INTARSIA_OTLP_ENDPOINT", value_name = "URL")]
+    pub otlp_endpoint: Option<String>,
     /// Form of the log lines on stderr.
     #[arg(long, env = "INTARSIA_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
@@ -190,7 +194,7 @@ pub struct Quotas {
     #[arg(long, value_parser = parse_size)]
     #[schema(minimum = 0)]
     pub max_stored: Option<u64>,
-    /// Submissions of the tenant that are received at the same time.
+    /// Submissions of the tenant that are received at the same time, and its uploads in pieces that are not complete.
     #[arg(long)]
     #[schema(minimum = 0)]
     pub max_uploads: Option<u32>,
@@ -376,6 +380,12 @@ pub struct Limits {
     /// How long artifacts are kept after a job ends.
     #[arg(long, env = "INTARSIA_KEEP_ARTIFACTS", default_value = "7d", value_parser = parse_duration)]
     pub keep_artifacts: Duration,
+    /// Uploads in pieces (/v1/uploads) that are kept, complete or not; a tenant may have half of them.
+    #[arg(long, env = "INTARSIA_MAX_KEPT_UPLOADS", default_value_t = 1000)]
+    pub max_kept_uploads: u32,
+    /// How long an upload in pieces is kept after its last byte came.
+    #[arg(long, env = "INTARSIA_KEEP_UPLOADS", default_value = "1d", value_parser = parse_duration)]
+    pub keep_uploads: Duration,
     /// How long a job can be asked for after it ends; at least as long as its artifacts.
     #[arg(long, env = "INTARSIA_KEEP_JOBS", default_value = "30d", value_parser = parse_duration)]
     pub keep_jobs: Duration,

@@ -36,14 +36,18 @@ pub enum Code {
     Unauthorized,
     /// Whoever asks may not (HTTP).
     Forbidden,
-    /// No such job, artifact or route (HTTP).
+    /// No such job, upload, artifact or route (HTTP).
     NotFound,
-    /// The artifact existed and has been removed (HTTP).
+    /// The artifact or upload existed and has been removed (HTTP).
     Gone,
-    /// The job is in a state that does not allow the request (HTTP).
+    /// The job or upload is in a state that does not allow the request (HTTP).
     Conflict,
     /// The `Idempotency-Key` was used for another request (HTTP).
     IdempotencyMismatch,
+    /// Items of a batch cannot be taken (HTTP).
+    InvalidBatch,
+    /// Bytes do not have the checksum that was sent with them, or declared (HTTP).
+    ChecksumMismatch,
     /// The queue is full (HTTP).
     QueueFull,
     /// A quota of the API key is used up (HTTP).
@@ -79,6 +83,8 @@ impl Code {
             Code::Gone => "gone",
             Code::Conflict => "conflict",
             Code::IdempotencyMismatch => "idempotency_mismatch",
+            Code::InvalidBatch => "invalid_batch",
+            Code::ChecksumMismatch => "checksum_mismatch",
             Code::QueueFull => "queue_full",
             Code::QuotaExceeded => "quota_exceeded",
             Code::RateLimited => "rate_limited",

@@ -12,6 +12,7 @@ use intarsia::http::App;
 use intarsia::http::router::router;
 use intarsia::http::sites::Sites;
 use intarsia::jobs::Jobs;
+use intarsia::jobs::otlp::Otlp;
 use tokio::time::timeout;
 
 /// How long, beyond the grace of running jobs, requests and jobs may take to end when the service is told to stop.
@@ -55,6 +56,10 @@ async fn serve(arguments: &Serve) -> Result<()> {
         &arguments.webhooks,
     )
     .await?;
+    let endpoint = arguments.otlp_endpoint.clone().or_else(|| std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").ok());
+    if let Some(endpoint) = endpoint.filter(|endpoint| !endpoint.is_empty()) {
+        jobs.telemetry.spans.send_to(Otlp::new(&endpoint)?);
+    }
     let service = router(App::new(jobs.clone(), arguments.access.clone()), sites, arguments.role);
     let failed =
         |e: std::io::Error| Failure::new(Code::InvalidRequest, format!("cannot listen on {}: {e}", arguments.listen));
@@ -93,6 +98,8 @@ async fn serve(arguments: &Serve) -> Result<()> {
     let limit = arguments.work.grace.saturating_add(PATIENCE);
     handle.graceful_shutdown(Some(limit));
     let _ = timeout(limit, async { tokio::join!(worker, maintenance, server) }).await;
+    // It waits for the collector, for a while.
+    let _ = tokio::task::spawn_blocking(move || jobs.telemetry.spans.flush()).await;
     Ok(())
 }
 

@@ -21,7 +21,9 @@ use super::problem::{Challenge, HandlerResult, Problem};
 use super::upload::DrainOnDrop;
 use crate::config::{Auth, Quotas, Scope};
 use crate::error::{Code, Result};
+use crate::jobs::batches::unknown_batch;
 use crate::jobs::keys::{Key, hash};
+use crate::jobs::resumable::unknown_upload;
 use crate::jobs::unknown;
 
 /// How often the key of a request that takes longer is looked at again.
@@ -89,6 +91,11 @@ fn needed(method: &Method, route: Option<&str>) -> Option<Scope> {
         route if route == "/v1/jobs" || route.starts_with("/v1/jobs/") => {
             Some(if reads { Scope::Read } else { Scope::Submit })
         }
+        route if route == "/v1/batches" || route.starts_with("/v1/batches/") => {
+            Some(if reads { Scope::Read } else { Scope::Submit })
+        }
+        // Who sends pieces must be able to ask how far they are.
+        route if route == "/v1/uploads" || route.starts_with("/v1/uploads/") => Some(Scope::Submit),
         // Their answers hold secrets.
         route if route == "/v1/webhooks" || route.starts_with("/v1/webhooks/") => Some(Scope::Submit),
         _ => Some(Scope::Admin),
@@ -167,7 +174,7 @@ fn allowance(app: &App, caller: &Caller) -> Option<super::rate_limit::Allowance>
     Some(app.rates.count(client, own.or(app.access.rate_limit)?, Instant::now()))
 }
 
-/// Whether a caller may do what needs `scope`, with the job that the path names.
+/// Whether a caller may do what needs `scope`, with what the path names.
 async fn permit(
     app: &App,
     caller: &Caller,
@@ -181,13 +188,18 @@ async fn permit(
         let detail = format!("this needs a key with the scope `{}`, which this one does not have", scope.as_str());
         return Err(Problem { challenge: Some(Challenge::Scope(scope)), ..Problem::new(Code::Forbidden, detail) });
     }
-    if route.is_some_and(|route| route.starts_with("/v1/jobs/")) {
-        let id = parameters.into_iter().flatten().find(|(name, _)| *name == "id").map_or("", |(_, id)| id);
-        if app.jobs.queue.tenant_of(id).await?.as_deref() != Some(key.tenant.as_str()) {
-            return Err(unknown(id).into());
-        }
-    }
-    Ok(())
+    let id = parameters.into_iter().flatten().find(|(name, _)| *name == "id").map_or("", |(_, id)| id);
+    let of = |prefix: &str| route.is_some_and(|route| route.starts_with(prefix));
+    let (owner, unknown) = if of("/v1/jobs/") {
+        (app.jobs.queue.tenant_of(id).await?, unknown(id))
+    } else if of("/v1/batches/") {
+        (app.jobs.batches.tenant_of_batch(id).await?, unknown_batch(id))
+    } else if of("/v1/uploads/") {
+        (app.jobs.resumable.tenant_of(id).await?, unknown_upload(id))
+    } else {
+        return Ok(());
+    };
+    if owner.as_deref() == Some(key.tenant.as_str()) { Ok(()) } else { Err(unknown.into()) }
 }
 
 fn unauthorized(tried: bool) -> Problem {

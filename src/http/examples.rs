@@ -119,6 +119,50 @@ pub(super) fn deliveries() -> Value {
     example!("answers/deliveries.json")
 }
 
+/// An upload on its way.
+pub(super) fn upload() -> Value {
+    example!("answers/upload.json")
+}
+
+/// A submission whose files were uploaded before.
+pub(super) fn by_reference() -> Value {
+    json!({"model": upload()["reference"], "options": example!("pack-gate.json")})
+}
+
+/// A batch of uploads.
+pub(super) fn new_batch() -> Value {
+    example!("requests/new-batch.json")
+}
+
+/// A batch whose files stand beside it.
+pub(super) fn batch_form() -> Value {
+    let items = json!([{"model": "chair.glb"}, {"model": "table.glb", "options": {"pack": {"gutter": 8}}}]);
+    let files = json!(["(the bytes of chair.glb)", "(the bytes of table.glb)"]);
+    json!({"batch": {"options": {"recipe": "scan"}, "items": items}, "files": files})
+}
+
+/// That batch on its way.
+pub(super) fn batch() -> Value {
+    example!("answers/batch.json")
+}
+
+/// Why a batch is refused.
+pub(super) fn invalid_batch() -> Value {
+    let why = "no part `files` of the form has the file name `tabel.glb`, and it is not `upload:` and an id";
+    let detail = format!("1 of 2 items cannot be taken, and nothing was stored; the first: {why}");
+    json!(super::problem::Problem {
+        errors: vec![crate::params::Problem::new("/items/1/model", why)],
+        ..super::problem::Problem::new(crate::error::Code::InvalidBatch, detail)
+    })
+}
+
+/// What was told of a job, to the URL that it named.
+pub(super) fn job_deliveries() -> Value {
+    let mut page = deliveries();
+    page["deliveries"][0]["webhook"] = Value::Null;
+    page
+}
+
 /// A service that is well.
 pub(super) fn health() -> Value {
     json!({"status": "ok", "version": env!("CARGO_PKG_VERSION")})

@@ -14,7 +14,7 @@ use super::document::Binary;
 use super::examples;
 use super::prefer;
 use super::problem::{HandlerResult, Problem};
-use super::upload::{self, Received, Submission, Validation};
+use super::upload::{self, JsonSubmission, Received, Submission, Validation};
 use crate::config::Auth;
 use crate::error::{Code, Failure};
 use crate::jobs::Taken;
@@ -34,12 +34,15 @@ fn retry_after(app: &App, job: &Job) -> HeaderValue {
             description = "`wait=N`: answer when the job is final, after N seconds at the latest"),
         ("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255, example = "build-17",
             description = "The client's name for this request: sent again under it, it is answered with the job that it made"),
+        ("traceparent" = Option<String>, Header, description = "The trace (W3C) that the job goes on with: in logs, in what is told to a collector, and in webhooks",
+            example = "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01"),
         ("X-Request-Id" = Option<String>, Header, example = "build-17/step-2", description = "Stands in the logs beside everything that the job does")),
-    request_body(description = "A form, or the model alone", content(
+    request_body(description = "A form, the model alone, or the names of uploads. A part of the form that holds `upload:` and an id is that upload", content(
         (Submission = "multipart/form-data", encoding(("options" = (content_type = "application/json"))), examples(
             ("pack-gate" = (summary = "Packs, and fails where nothing is gained", value = json!(examples::pack()))),
             ("scan" = (summary = "Merges the charts of a scan", value = json!(examples::scan()))),
             ("box_cutter" = (summary = "Cuts charts along their edges", value = json!(examples::box_cutter()))))),
+        (JsonSubmission = "application/json", example = json!(examples::by_reference())),
         (inline(Binary) = "model/gltf-binary"), (inline(Binary) = "application/zip"), (inline(Binary) = "application/octet-stream"),
         (serde_json::Map<String, serde_json::Value> = "model/gltf+json", example = json!({"asset": {"version": "2.0"}})))),
     responses(
@@ -55,7 +58,7 @@ fn retry_after(app: &App, job: &Job) -> HeaderValue {
         (status = 408, description = "The upload stood still", body = Problem, content_type = "application/problem+json"),
         (status = 400, description = "Not a model, or a malformed request", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "A limit is exceeded", body = Problem, content_type = "application/problem+json"),
-        (status = 415, description = "Neither multipart nor a model", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Neither a form, nor a model, nor JSON", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "The options are not valid, or the key belongs to another request", body = Problem,
             content_type = "application/problem+json", example = json!(examples::invalid_options())),
         (status = 503, description = "The queue is full", body = Problem, content_type = "application/problem+json",
@@ -117,8 +120,7 @@ pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers
         None => app.jobs.get(&id).await?,
     };
     let body = serde_json::to_vec(&job).map_err(|e| Failure::internal(e.to_string()))?;
-    let digest = Sha256::digest(&body);
-    let etag = format!("\"{}\"", hex::encode(digest.get(..16).unwrap_or_default()));
+    let etag = etag(&body);
     let mut response = if matches(&headers, &etag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
@@ -232,6 +234,11 @@ pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> Ha
 pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> HandlerResult<StatusCode> {
     app.jobs.delete(&id).await?;
     Ok(StatusCode::NO_CONTENT)
+}
+
+/// The ETag of a body.
+pub(super) fn etag(body: &[u8]) -> String {
+    format!("\"{}\"", hex::encode(Sha256::digest(body).get(..16).unwrap_or_default()))
 }
 
 /// Whether `If-None-Match` names the tag (weak comparison, RFC 9110, 13.1.2).

@@ -2,11 +2,14 @@
 
 mod access;
 mod artifacts;
+mod batch_request;
+mod batches;
 mod body;
 mod document;
 mod events;
 mod examples;
 mod health;
+mod incoming;
 mod jobs;
 mod keys;
 pub mod page;
@@ -15,8 +18,12 @@ mod preflight;
 pub mod problem;
 mod rate_limit;
 mod recipes;
+mod references;
+mod resumable;
 pub mod router;
 pub mod sites;
+mod trace;
+mod tus;
 mod upload;
 mod upload_slots;
 mod webhooks;

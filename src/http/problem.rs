@@ -30,8 +30,11 @@ pub fn status(code: Code) -> (StatusCode, &'static str) {
         Code::Forbidden => (StatusCode::FORBIDDEN, "Not allowed"),
         Code::NotFound => (StatusCode::NOT_FOUND, "Not found"),
         Code::Gone => (StatusCode::GONE, "Removed"),
-        Code::Conflict => (StatusCode::CONFLICT, "The state of the job does not allow this"),
+        Code::Conflict => (StatusCode::CONFLICT, "The present state does not allow this"),
         Code::IdempotencyMismatch => (StatusCode::UNPROCESSABLE_ENTITY, "The key belongs to another request"),
+        Code::InvalidBatch => (StatusCode::UNPROCESSABLE_ENTITY, "Items of the batch cannot be taken"),
+        // The status that tus 1.0 has for it.
+        Code::ChecksumMismatch => (checksum_mismatch(), "The checksum does not match"),
         Code::QueueFull => (StatusCode::SERVICE_UNAVAILABLE, "The service is busy"),
         Code::QuotaExceeded => (StatusCode::TOO_MANY_REQUESTS, "A quota is used up"),
         Code::RateLimited => (StatusCode::TOO_MANY_REQUESTS, "Too many requests"),
@@ -39,6 +42,10 @@ pub fn status(code: Code) -> (StatusCode, &'static str) {
         Code::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, "The service is in trouble"),
         Code::Internal => (StatusCode::INTERNAL_SERVER_ERROR, "Intarsia is at fault"),
     }
+}
+
+fn checksum_mismatch() -> StatusCode {
+    StatusCode::from_u16(460).unwrap_or(StatusCode::BAD_REQUEST)
 }
 
 /// Body of an error, `application/problem+json` (RFC 9457).

@@ -115,6 +115,12 @@ pub(super) struct LimitList {
     keep_artifacts_s: f64,
     /// Seconds that a job can be asked for after its end.
     keep_jobs_s: f64,
+    /// Items of a batch.
+    max_batch_items: u64,
+    /// Uploads in pieces that are kept.
+    max_kept_uploads: u32,
+    /// Seconds that an upload in pieces is kept after its last byte came.
+    keep_uploads_s: f64,
     /// Threads of one job.
     threads: u64,
     /// Jobs that run at once.
@@ -151,6 +157,9 @@ pub(super) async fn limits(State(app): State<App>) -> Json<LimitList> {
         max_wait_s: l.max_wait.as_secs_f64(),
         keep_artifacts_s: l.keep_artifacts.as_secs_f64(),
         keep_jobs_s: l.keep_jobs.as_secs_f64(),
+        max_batch_items: super::batch_request::MAX_ITEMS as u64,
+        max_kept_uploads: l.max_kept_uploads,
+        keep_uploads_s: l.keep_uploads.as_secs_f64(),
         threads: app.jobs.slots.threads() as u64,
         jobs: app.jobs.slots.count() as u64,
         memory_bytes: app.jobs.slots.memory(),

@@ -20,9 +20,13 @@ use utoipa_axum::routes;
 
 use super::problem::Problem;
 use super::sites::{self, Sites};
-use super::{App, access, artifacts, document, events, health, jobs, keys, page, recipes, webhooks};
+use super::{
+    App, access, artifacts, batches, document, events, health, jobs, keys, page, recipes, resumable, trace, tus,
+    webhooks,
+};
 use crate::config::Role;
 use crate::error::Code;
+use crate::jobs::trace::TRACEPARENT;
 
 /// How long a browser remembers what a page may send: the most that browsers take.
 const PREFLIGHT_AGE: Duration = Duration::from_secs(7200);
@@ -33,9 +37,16 @@ fn all_routes() -> OpenApiRouter<App> {
         .routes(routes!(jobs::submit, jobs::list))
         .routes(routes!(jobs::read, jobs::delete))
         .routes(routes!(jobs::cancel))
+        .routes(routes!(webhooks::of_job))
+        .routes(routes!(webhooks::replay_of_job))
         .routes(routes!(events::follow))
         .routes(routes!(artifacts::report))
         .routes(routes!(artifacts::fetch))
+        .routes(routes!(batches::submit))
+        .routes(routes!(batches::read, batches::delete))
+        .routes(routes!(batches::cancel))
+        .routes(routes!(resumable::create))
+        .routes(routes!(resumable::read, resumable::append, resumable::remove))
         .routes(routes!(keys::list, keys::create))
         .routes(routes!(keys::revoke))
         .routes(routes!(webhooks::list, webhooks::create))
@@ -78,23 +89,34 @@ pub fn router(app: App, sites: Sites, role: Role) -> Router {
         .layer(from_fn_with_state(app.clone(), access::check))
         .layer(from_fn(catch_panics))
         .layer(from_fn_with_state(app.clone(), record_response))
+        .layer(from_fn_with_state(app.clone(), trace::tell))
         .layer(CompressionLayer::new().compress_when(is_compressible));
     if sites.origins().is_none_or(|origins| !origins.is_empty()) {
         router = router.layer(cors(&sites));
     }
-    let trace = TraceLayer::new_for_http()
+    let lines = TraceLayer::new_for_http()
         .make_span_with(|request: &Request| {
             let id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).unwrap_or_default();
             let id: String = id.chars().take(100).collect();
-            tracing::info_span!("request", method = %request.method(), path = request.uri().path(), id)
+            let context = request.extensions().get::<trace::RequestTrace>().map(|trace| trace.context);
+            tracing::info_span!(
+                "request",
+                method = %request.method(),
+                path = request.uri().path(),
+                id,
+                trace_id = context.map(|context| context.trace_id()),
+                span_id = context.map(|context| context.span_id())
+            )
         })
         .on_response(DefaultOnResponse::new().level(Level::DEBUG))
         // What fails says so itself, and the machine's troubles are told once.
         .on_failure(DefaultOnFailure::new().level(Level::DEBUG));
     router
+        .layer(from_fn_with_state(app.clone(), tus::protocol))
         .layer(from_fn_with_state(sites, sites::check))
         .layer(PropagateRequestIdLayer::new(request_id.clone()))
-        .layer(trace)
+        .layer(lines)
+        .layer(from_fn(trace::begin))
         .layer(SetRequestIdLayer::new(request_id, MakeRequestUuid))
         .with_state(app)
 }
@@ -117,35 +139,47 @@ fn cors(sites: &Sites) -> CorsLayer {
     CorsLayer::new()
         .allow_origin(allowed)
         .max_age(PREFLIGHT_AGE)
-        .allow_methods([Method::GET, Method::POST, Method::DELETE])
-        .allow_headers([
-            header::AUTHORIZATION,
-            header::CONTENT_TYPE,
-            header::IF_NONE_MATCH,
-            header::IF_RANGE,
-            header::RANGE,
-            HeaderName::from_static("last-event-id"),
-            HeaderName::from_static("prefer"),
-            HeaderName::from_static("idempotency-key"),
-            HeaderName::from_static("x-request-id"),
-        ])
-        .expose_headers([
-            header::LOCATION,
-            header::RETRY_AFTER,
-            header::ETAG,
-            header::CONTENT_DISPOSITION,
-            header::CONTENT_RANGE,
-            header::ACCEPT_RANGES,
-            header::WWW_AUTHENTICATE,
-            HeaderName::from_static("ratelimit-limit"),
-            HeaderName::from_static("ratelimit-policy"),
-            HeaderName::from_static("ratelimit-remaining"),
-            HeaderName::from_static("ratelimit-reset"),
-            HeaderName::from_static("preference-applied"),
-            HeaderName::from_static("idempotency-replayed"),
-            HeaderName::from_static("result-reused"),
-            HeaderName::from_static("x-request-id"),
-        ])
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PATCH, Method::DELETE])
+        .allow_headers(
+            [
+                header::AUTHORIZATION,
+                header::CONTENT_TYPE,
+                header::IF_NONE_MATCH,
+                header::IF_RANGE,
+                header::RANGE,
+                HeaderName::from_static("last-event-id"),
+                HeaderName::from_static("prefer"),
+                HeaderName::from_static("idempotency-key"),
+                HeaderName::from_static(TRACEPARENT),
+                HeaderName::from_static("tracestate"),
+                HeaderName::from_static("x-request-id"),
+            ]
+            .into_iter()
+            .chain(tus::REQUEST_HEADERS)
+            .collect::<Vec<_>>(),
+        )
+        .expose_headers(
+            [
+                header::LOCATION,
+                header::RETRY_AFTER,
+                header::ETAG,
+                header::CONTENT_DISPOSITION,
+                header::CONTENT_RANGE,
+                header::ACCEPT_RANGES,
+                header::WWW_AUTHENTICATE,
+                HeaderName::from_static("ratelimit-limit"),
+                HeaderName::from_static("ratelimit-policy"),
+                HeaderName::from_static("ratelimit-remaining"),
+                HeaderName::from_static("ratelimit-reset"),
+                HeaderName::from_static("preference-applied"),
+                HeaderName::from_static("idempotency-replayed"),
+                HeaderName::from_static("result-reused"),
+                HeaderName::from_static("x-request-id"),
+            ]
+            .into_iter()
+            .chain(tus::RESPONSE_HEADERS)
+            .collect::<Vec<_>>(),
+        )
 }
 
 /// Whether a response is compressed where the client takes that: JSON and metrics, not streams, nor artifacts, of which ranges can be

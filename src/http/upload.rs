@@ -4,28 +4,29 @@ use axum::body::{Body, BodyDataStream, Bytes};
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, header};
 use futures_util::{Stream, StreamExt};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use sha2::{Digest, Sha256};
-use std::path::{Path, PathBuf};
+use std::collections::BTreeMap;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
-use std::time::{Duration, Instant};
-use tokio::io::AsyncWriteExt;
+use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::time::timeout;
+use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
 use super::access::Caller;
-use super::preflight;
+use super::incoming::IncomingUpload;
 use super::problem::{HandlerResult, Problem};
-use crate::asset::{Demand, estimate};
+use super::references::{Sources, reference};
+use super::trace;
+use super::upload_slots::UploadSlot;
 use crate::error::{Code, Failure};
-use crate::jobs::files::{Manifest, UploadedFile, disk};
+use crate::jobs::Taken;
 use crate::jobs::queue::NewJob;
-use crate::jobs::record::{Job, new_id};
-use crate::jobs::{Taken, build};
+use crate::jobs::record::Job;
+use crate::params::{Problem as OptionProblem, typed};
 use crate::refine::options::{Options, OptionsSchema};
 use crate::refine::parse;
 
@@ -80,35 +81,33 @@ pub(super) struct Validation {
     upload_bytes: u64,
 }
 
+impl Validation {
+    pub(super) fn new(options: Value, memory_bytes: u64, upload_bytes: u64) -> Self {
+        Validation { valid: true, options, memory_bytes, upload_bytes }
+    }
+}
+
 /// Receives a submission and stores it as a job, unless it is only to be looked at.
 pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<Received> {
-    let request_id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).map(truncated);
-    let caller = request.extensions().get::<Caller>().cloned();
-    let caller = caller.ok_or_else(|| Failure::internal("nobody has looked at who calls"))?;
-    let quotas = caller.quotas();
-    let request = request.map(|body| Body::from_stream(DrainOnDrop(Some(body.into_data_stream()))));
+    let (told, caller) = (Told::by(&request), caller(&request)?);
+    let request = draining(request);
     let key = key(request.headers())?;
     let UploadQuery { recipe, validate_only } = query(&request)?;
     admit(app, &caller, request.headers()).await?;
     let request = started(request, app.jobs.limits.upload_idle).await?;
-    let Some(_slot) = app.uploads.take(caller.client(), quotas.max_uploads) else {
-        if let Some(most) = quotas.max_uploads.filter(|most| app.uploads.taken_by(&caller.client()) >= *most as usize) {
-            let detail = format!("this key lets {most} submissions be received at the same time, and so many are");
-            return Err(Problem::new(Code::QuotaExceeded, detail));
-        }
-        return Err(Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"));
-    };
-    let mut incoming = IncomingUpload::new(app).await?;
+    let _slot = slot(app, &caller)?;
+    let mut incoming = IncomingUpload::new(app, &caller).await?;
     let media_type = media_type(request.headers());
     let mut options = match media_type.as_str() {
         "multipart/form-data" => form(&mut incoming, request).await?,
+        "application/json" => by_reference(&mut incoming, request).await?,
         "model/gltf-binary" => raw(&mut incoming, request, "model.glb").await?,
         "model/gltf+json" => raw(&mut incoming, request, "model.gltf").await?,
         "application/zip" | "application/x-zip-compressed" => raw(&mut incoming, request, "model.zip").await?,
         "application/octet-stream" => raw(&mut incoming, request, "model").await?,
         other => {
             let detail = format!(
-                "`{other}` is not taken; send multipart/form-data, model/gltf-binary, model/gltf+json, application/zip \
+                "`{other}` is not taken; send multipart/form-data, application/json, model/gltf-binary, model/gltf+json, application/zip \
                  or application/octet-stream"
             );
             return Err(Problem::new(Code::UnsupportedMediaType, detail));
@@ -117,39 +116,57 @@ pub(super) async fn receive(app: &App, request: Request) -> HandlerResult<Receiv
     if let Some(recipe) = recipe {
         named(&mut options, recipe)?;
     }
-    let options = parse::options(&options).map_err(Problem::options)?;
-    if let Some(url) = &options.webhook {
-        check_webhook(app, &caller, url)?;
-    }
+    let options = judged(app, &caller, &options)?;
     incoming.check().await?;
+    check_room(app, &caller, incoming.bytes).await?;
     let memory = incoming.memory(options.demand()).await?;
     let options = serde_json::to_value(&options).map_err(|e| Failure::internal(e.to_string()))?;
     if validate_only {
-        let upload_bytes = incoming.bytes;
-        return Ok(Received::Valid(Validation { valid: true, options, memory_bytes: memory, upload_bytes }));
+        return Ok(Received::Valid(Validation::new(options, memory, incoming.bytes)));
     }
-    let key = key.map(|key| (key, incoming.fingerprint(&options)));
-    let result_key = incoming.result_key(&options).await;
-    let (jobs, id, inputs) = (app.jobs.clone(), incoming.id.clone(), incoming.take());
-    let job = NewJob {
-        id,
+    let job = new_job(app, &caller, &incoming, options, (memory, key, told)).await;
+    incoming.leave();
+    let jobs = app.jobs.clone();
+    app.jobs.telemetry.received.inc_by(incoming.sent);
+    // A task of its own: a client that goes away now does not stop it half-way.
+    let stored = tokio::spawn(async move { jobs.submit(&job).await }.in_current_span()).await;
+    let (job, taken) = stored.map_err(|e| Failure::internal(format!("the submission was lost: {e}")))??;
+    Ok(Received::Job(job.into(), taken))
+}
+
+/// The options of a job, as far as they can be judged without its files.
+pub(super) fn judged(app: &App, caller: &Caller, options: &Value) -> HandlerResult<Options> {
+    let options = parse::options(options).map_err(Problem::options)?;
+    if let Some(url) = &options.webhook {
+        check_webhook(app, caller, url)?;
+    }
+    Ok(options)
+}
+
+/// The job that a submission becomes, with the memory that it needs, the client's key and what the request tells of itself.
+pub(super) async fn new_job(
+    app: &App,
+    caller: &Caller,
+    incoming: &IncomingUpload<'_>,
+    options: Value,
+    (memory, key, told): (u64, Option<String>, Told),
+) -> NewJob {
+    let quotas = caller.quotas();
+    NewJob {
+        key: key.map(|key| (key, incoming.fingerprint(&options))),
+        result_key: incoming.result_key(&options).await,
+        id: incoming.id.clone(),
         options,
-        inputs,
-        memory,
         bytes: incoming.bytes,
-        key,
-        request: request_id,
+        inputs: incoming.manifest.clone(),
+        memory,
+        request: told.request,
+        trace: told.trace,
         tenant: caller.tenant().to_owned(),
         max_queued: quotas.max_queued,
         max_running: quotas.max_running,
-        result_key,
         keep: app.jobs.limits.keep_artifacts,
-    };
-    app.jobs.telemetry.received.inc_by(incoming.bytes);
-    // A task of its own: a client that goes away now does not stop it half-way.
-    let stored = tokio::spawn(async move { jobs.submit(&job).await }).await;
-    let (job, taken) = stored.map_err(|e| Failure::internal(format!("the submission was lost: {e}")))??;
-    Ok(Received::Job(job.into(), taken))
+    }
 }
 
 /// Whether a job may name this URL to be told.
@@ -164,10 +181,10 @@ fn check_webhook(app: &App, caller: &Caller, url: &str) -> HandlerResult<()> {
 }
 
 /// The client's name for its request: what is sent again under it is not done again.
-fn key(headers: &HeaderMap) -> HandlerResult<Option<String>> {
+pub(super) fn key(headers: &HeaderMap) -> HandlerResult<Option<String>> {
     let Some(value) = headers.get("idempotency-key") else { return Ok(None) };
     match value.to_str() {
-        Ok(key) if (1..=MAX_KEY_BYTES).contains(&key.len()) => Ok(Some(key.to_owned())),
+        Ok(key) if is_key(key) => Ok(Some(key.to_owned())),
         _ => {
             let detail = format!("an Idempotency-Key has 1 to {MAX_KEY_BYTES} visible ASCII characters");
             Err(Problem::new(Code::InvalidRequest, detail))
@@ -175,8 +192,38 @@ fn key(headers: &HeaderMap) -> HandlerResult<Option<String>> {
     }
 }
 
+/// Whether a text can be an Idempotency-Key.
+pub(super) fn is_key(text: &str) -> bool {
+    (1..=MAX_KEY_BYTES).contains(&text.len()) && text.bytes().all(|b| (0x20..0x7f).contains(&b))
+}
+
+/// Whoever sends the request.
+pub(super) fn caller(request: &Request) -> HandlerResult<Caller> {
+    let caller = request.extensions().get::<Caller>().cloned();
+    Ok(caller.ok_or_else(|| Failure::internal("nobody has looked at who calls"))?)
+}
+
+/// What a request tells of itself.
+#[derive(Debug, Clone)]
+pub(super) struct Told {
+    request: Option<String>,
+    trace: Option<String>,
+}
+
+impl Told {
+    pub(super) fn by(request: &Request) -> Self {
+        let id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok());
+        Told { request: id.map(truncated), trace: trace::of(request) }
+    }
+}
+
+/// The request, whose body is read on for a while when it is refused.
+pub(super) fn draining(request: Request) -> Request {
+    request.map(|body| Body::from_stream(DrainOnDrop(Some(body.into_data_stream()))))
+}
+
 /// What is refused before anything is read.
-async fn admit(app: &App, caller: &Caller, headers: &HeaderMap) -> HandlerResult<()> {
+pub(super) async fn admit(app: &App, caller: &Caller, headers: &HeaderMap) -> HandlerResult<()> {
     let limits = &app.jobs.limits;
     app.jobs.ready()?;
     // A request with a key may be known: that shows only when all of it is here.
@@ -188,10 +235,16 @@ async fn admit(app: &App, caller: &Caller, headers: &HeaderMap) -> HandlerResult
     if announced.is_some_and(|n| n > limits.max_upload.saturating_add(MAX_OPTIONS_BYTES as u64 * 2)) {
         return Err(too_large(limits.max_upload));
     }
+    check_room(app, caller, announced.unwrap_or(0)).await
+}
+
+/// Whether so many bytes more may be stored: by the quota of the tenant, and of all.
+pub(super) async fn check_room(app: &App, caller: &Caller, bytes: u64) -> HandlerResult<()> {
     if let (Some(most), Some(tenant)) = (caller.quotas().max_stored, caller.tenant_if_any()) {
         let stored = app.jobs.queue.stored_bytes(Some(tenant)).await?;
-        let stored = stored.uploads.saturating_add(stored.artifacts);
-        if stored.saturating_add(announced.unwrap_or(0)) > most {
+        let pieces = app.jobs.resumable.bytes(Some(tenant)).await?.declared;
+        let stored = stored.uploads.saturating_add(stored.artifacts).saturating_add(pieces);
+        if stored.saturating_add(bytes) > most {
             let detail = format!(
                 "the uploads and results of this tenant take {stored} bytes, and this key allows {most}: results expire by themselves, or are \
                  deleted with their jobs"
@@ -199,10 +252,17 @@ async fn admit(app: &App, caller: &Caller, headers: &HeaderMap) -> HandlerResult
             return Err(Problem::new(Code::QuotaExceeded, detail));
         }
     }
+    check_waiting(app, bytes).await
+}
+
+/// Whether so many bytes more may wait, those of all clients together.
+pub(super) async fn check_waiting(app: &App, bytes: u64) -> HandlerResult<()> {
+    let limits = &app.jobs.limits;
     let stored = app.jobs.queue.stored_bytes(None).await?;
-    if stored.uploads.saturating_add(announced.unwrap_or(0)) > limits.max_waiting {
-        let detail =
-            format!("the jobs that wait hold {} of {} bytes; try again later", stored.uploads, limits.max_waiting);
+    let waiting = stored.uploads.saturating_add(app.jobs.resumable.bytes(None).await?.received);
+    if waiting.saturating_add(bytes) > limits.max_waiting {
+        let most = limits.max_waiting;
+        let detail = format!("uploads, and the jobs that wait, hold {waiting} of {most} bytes; try again later");
         return Err(Problem::new(Code::QueueFull, detail));
     }
     if stored.artifacts >= limits.max_stored {
@@ -215,8 +275,22 @@ async fn admit(app: &App, caller: &Caller, headers: &HeaderMap) -> HandlerResult
     Ok(())
 }
 
+/// A slot for what is received now.
+pub(super) fn slot(app: &App, caller: &Caller) -> HandlerResult<UploadSlot> {
+    let most = caller.quotas().max_uploads;
+    app.uploads.take(caller.client(), most).ok_or_else(|| {
+        match most.filter(|most| app.uploads.taken_by(&caller.client()) >= *most as usize) {
+            Some(most) => {
+                let detail = format!("this key lets {most} submissions be received at the same time, and so many are");
+                Problem::new(Code::QuotaExceeded, detail)
+            }
+            None => Problem::new(Code::QueueFull, "too many submissions at the same time; try again later"),
+        }
+    })
+}
+
 /// The same request when the first bytes of its body are here: one that only waits holds no slot.
-async fn started(request: Request, limit: Duration) -> HandlerResult<Request> {
+pub(super) async fn started(request: Request, limit: Duration) -> HandlerResult<Request> {
     let (head, body) = request.into_parts();
     let mut body = body.into_data_stream();
     let first = timeout(limit, body.next()).await.map_err(|_| stalled())?;
@@ -225,12 +299,12 @@ async fn started(request: Request, limit: Duration) -> HandlerResult<Request> {
 
 /// What the query of a submission says.
 #[derive(Default)]
-struct UploadQuery {
-    recipe: Option<Value>,
-    validate_only: bool,
+pub(super) struct UploadQuery {
+    pub(super) recipe: Option<Value>,
+    pub(super) validate_only: bool,
 }
 
-fn query(request: &Request) -> HandlerResult<UploadQuery> {
+pub(super) fn query(request: &Request) -> HandlerResult<UploadQuery> {
     let query: axum::extract::Query<Vec<(String, String)>> = axum::extract::Query::try_from_uri(request.uri())
         .map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
     let (mut recipe, mut validate_only) = (None, None);
@@ -248,7 +322,7 @@ fn query(request: &Request) -> HandlerResult<UploadQuery> {
         }
         if key != "recipe" {
             let detail = format!(
-                "unknown parameter `{}`: the query takes `recipe` and `validate_only`, everything else stands in the `options` of a form",
+                "unknown parameter `{}`: the query takes `recipe` and `validate_only`, everything else stands in the `options` of a form or of a JSON body",
                 truncated(&key)
             );
             return Err(Problem::new(Code::InvalidRequest, detail));
@@ -312,6 +386,98 @@ impl Drop for DrainOnDrop {
     }
 }
 
+/// A JSON document that is received in pieces.
+pub(super) async fn json<E: std::fmt::Display>(
+    incoming: &IncomingUpload<'_>,
+    what: &str,
+    most: usize,
+    stream: impl Stream<Item = Result<Bytes, E>>,
+) -> HandlerResult<Value> {
+    let mut text = Vec::new();
+    let mut stream = std::pin::pin!(stream);
+    while let Some(chunk) = timeout(incoming.patience(), stream.next()).await.map_err(|_| stalled())? {
+        let chunk = chunk.map_err(|e| Problem::new(Code::InvalidRequest, format!("the upload broke off: {e}")))?;
+        if text.len() + chunk.len() > most {
+            return Err(Problem::new(Code::TooLarge, format!("{what} exceed {most} bytes")));
+        }
+        text.extend_from_slice(&chunk);
+    }
+    parse::json(&text).map_err(|e| Problem::new(Code::InvalidRequest, format!("{what} are not JSON: {e}")))
+}
+
+/// A JSON body that names uploads.
+async fn by_reference(incoming: &mut IncomingUpload<'_>, request: Request) -> HandlerResult<Value> {
+    let body = request.into_body().into_data_stream();
+    let body = json(incoming, "the names of the files and the options", 2 * MAX_OPTIONS_BYTES, body).await?;
+    let fields: Fields = typed(&body, "").map_err(|problem| Problem::options(vec![problem]))?;
+    let sources = Sources::read(&fields.model, &fields.files, "").map_err(|problem| Problem::options(vec![problem]))?;
+    for (source, is_model) in sources.iter() {
+        let Some(id) = reference(&source.from) else {
+            let why = format!("`{}` is not `upload:` and the id of an upload", truncated(&source.from));
+            return Err(Problem::options(vec![OptionProblem::new(&source.pointer, why)]));
+        };
+        let path = source.path.as_deref().map(relative).transpose()?;
+        let stored = incoming.take_upload(id, path, &source.pointer).await?;
+        incoming.add(stored, is_model)?;
+    }
+    Ok(fields.options)
+}
+
+/// The fields of a JSON submission.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Fields {
+    #[serde(default)]
+    model: Value,
+    #[serde(default)]
+    files: Value,
+    #[serde(default = "no_options")]
+    options: Value,
+}
+
+fn no_options() -> Value {
+    Value::Object(serde_json::Map::new())
+}
+
+/// A submission whose files were uploaded before.
+#[derive(ToSchema)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "describes the body in the OpenAPI document; it is read by hand, for errors that help")]
+pub(super) struct JsonSubmission {
+    /// The models: `upload:` and the id of a complete upload, each. Several models share one atlas.
+    #[schema(value_type = OneOrMany)]
+    model: OneOrMany,
+    /// Files that the models, or `importance.texture`, name: by their paths, or as a list of uploads that were given their paths when they
+    /// began.
+    #[schema(value_type = NamedFiles, required = false)]
+    files: Option<NamedFiles>,
+    /// The options.
+    #[schema(value_type = OptionsSchema, required = false)]
+    options: Option<Options>,
+}
+
+/// The name of a file, or several.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "describes a body in the OpenAPI document")]
+pub(super) enum OneOrMany {
+    /// One.
+    One(String),
+    /// Several.
+    Many(Vec<String>),
+}
+
+/// Files by their paths, or with the paths that they have.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "describes a body in the OpenAPI document")]
+pub(super) enum NamedFiles {
+    /// By their paths.
+    Paths(BTreeMap<String, String>),
+    /// As they are called.
+    Names(Vec<String>),
+}
+
 /// The raw model as the body; its options are in the query.
 async fn raw(incoming: &mut IncomingUpload<'_>, request: Request, path: &str) -> HandlerResult<Value> {
     let stored = incoming.store(path.to_owned(), request.into_body().into_data_stream()).await?;
@@ -333,7 +499,7 @@ async fn form(incoming: &mut IncomingUpload<'_>, request: Request) -> HandlerRes
                 let path = relative(field.file_name().filter(|n| !n.is_empty()).unwrap_or("model"))?;
                 incoming.check_path_unused(&path)?;
                 let stored = incoming.store(path, field).await?;
-                incoming.manifest.models.push(stored);
+                incoming.add(stored, true)?;
             }
             "files" => {
                 let Some(path) = field.file_name().map(str::to_owned) else {
@@ -342,25 +508,10 @@ async fn form(incoming: &mut IncomingUpload<'_>, request: Request) -> HandlerRes
                 let path = relative(&path)?;
                 incoming.check_path_unused(&path)?;
                 let stored = incoming.store(path, field).await?;
-                incoming.manifest.files.push(stored);
+                incoming.add(stored, false)?;
             }
             "options" if options.is_none() => {
-                let mut text = Vec::new();
-                loop {
-                    let chunk = timeout(incoming.patience(), field.chunk()).await.map_err(|_| stalled())?;
-                    let Some(chunk) = chunk.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))? else {
-                        break;
-                    };
-                    if text.len() + chunk.len() > MAX_OPTIONS_BYTES {
-                        let detail = format!("the options exceed {MAX_OPTIONS_BYTES} bytes");
-                        return Err(Problem::new(Code::TooLarge, detail));
-                    }
-                    text.extend_from_slice(&chunk);
-                }
-                let parsed = parse::json(&text);
-                options = Some(
-                    parsed.map_err(|e| Problem::new(Code::InvalidRequest, format!("the options are not JSON: {e}")))?,
-                );
+                options = Some(json(&incoming, "the options", MAX_OPTIONS_BYTES, &mut field).await?);
             }
             "options" => return Err(Problem::new(Code::InvalidRequest, "`options` stands twice in the form")),
             other => {
@@ -373,164 +524,8 @@ async fn form(incoming: &mut IncomingUpload<'_>, request: Request) -> HandlerRes
     Ok(options.unwrap_or_else(|| Value::Object(serde_json::Map::new())))
 }
 
-/// An upload under way. When it is dropped before the queue has taken it, its files go.
-struct IncomingUpload<'a> {
-    app: &'a App,
-    id: String,
-    folder: PathBuf,
-    manifest: Manifest,
-    bytes: u64,
-    started: Instant,
-    taken: bool,
-}
-
-impl<'a> IncomingUpload<'a> {
-    async fn new(app: &'a App) -> HandlerResult<Self> {
-        let id = new_id()?;
-        let folder = app.jobs.files.incoming(&id);
-        tokio::fs::create_dir_all(&folder).await.map_err(|e| disk(&folder, &e))?;
-        Ok(IncomingUpload {
-            app,
-            id,
-            folder,
-            manifest: Manifest::default(),
-            bytes: 0,
-            started: Instant::now(),
-            taken: false,
-        })
-    }
-
-    /// Streams one file to the disk.
-    async fn store<E: std::fmt::Display>(
-        &mut self,
-        name: String,
-        stream: impl Stream<Item = Result<Bytes, E>>,
-    ) -> HandlerResult<UploadedFile> {
-        let limits = &self.app.jobs.limits;
-        let number = self.manifest.models.len() + self.manifest.files.len();
-        if number >= limits.max_files {
-            return Err(Problem::new(Code::TooLarge, format!("a submission has at most {} files", limits.max_files)));
-        }
-        let path = self.folder.join(number.to_string());
-        let failed = |e: std::io::Error| Problem::from(disk(&path, &e));
-        let mut file = tokio::fs::File::create_new(&path).await.map_err(failed)?;
-        let mut hash = Sha256::new();
-        let mut stream = std::pin::pin!(stream);
-        while let Some(chunk) = timeout(self.patience(), stream.next()).await.map_err(|_| stalled())? {
-            let chunk = chunk.map_err(|e| Problem::new(Code::InvalidRequest, format!("the upload broke off: {e}")))?;
-            self.bytes += chunk.len() as u64;
-            if self.bytes > limits.max_upload {
-                return Err(too_large(limits.max_upload));
-            }
-            hash.update(&chunk);
-            file.write_all(&chunk).await.map_err(failed)?;
-        }
-        file.flush().await.map_err(failed)?;
-        file.sync_all().await.map_err(failed)?;
-        Ok(UploadedFile { path: name, number, sha256: hex::encode(hash.finalize()) })
-    }
-
-    /// No two files have one path.
-    fn check_path_unused(&self, path: &str) -> HandlerResult<()> {
-        let taken = self.manifest.files.iter().any(|f| f.path == path);
-        if taken { Err(Problem::new(Code::InvalidRequest, format!("two files are called `{path}`"))) } else { Ok(()) }
-    }
-
-    /// The cheap checks of every model.
-    async fn check(&mut self) -> HandlerResult<()> {
-        if self.manifest.models.is_empty() {
-            return Err(Problem::new(Code::InvalidRequest, "the form has no field `model`"));
-        }
-        let most = self.app.jobs.limits.max_json;
-        for model in &mut self.manifest.models {
-            let (path, name) = (self.folder.join(model.number.to_string()), model.path.clone());
-            let kind = tokio::task::spawn_blocking(move || preflight::check(&path, &name, most)).await;
-            let kind = kind.map_err(|e| Failure::internal(format!("the check was lost: {e}")))??;
-            // A body without a name gets the one that belongs to its contents.
-            if !model.path.contains('.') {
-                model.path = format!("{}.{kind}", model.path);
-            }
-        }
-        Ok(())
-    }
-
-    /// Bytes that the job is expected to need, by the headers of its files and what its recipe does.
-    async fn memory(&self, demand: Demand) -> HandlerResult<u64> {
-        let (folder, manifest, limits) =
-            (self.folder.clone(), self.manifest.clone(), crate::asset::Limits::from(&self.app.jobs.limits));
-        let threads = self.app.jobs.slots.threads();
-        let estimated = tokio::task::spawn_blocking(move || {
-            let at = |stored: &UploadedFile| folder.join(stored.number.to_string());
-            let files: Vec<(&str, PathBuf)> = manifest.files.iter().map(|f| (f.path.as_str(), at(f))).collect();
-            let files: Vec<(&str, &Path)> = files.iter().map(|(name, path)| (*name, path.as_path())).collect();
-            let mut models = manifest.models.iter();
-            models.try_fold(0u64, |sum, model| -> Result<u64, Failure> {
-                Ok(sum.saturating_add(estimate((&model.path, &at(model)), &files, &limits, threads, demand)?.bytes))
-            })
-        });
-        let bytes = estimated.await.map_err(|e| Failure::internal(format!("the estimate was lost: {e}")))??;
-        let most = self.app.jobs.slots.memory();
-        if bytes > most {
-            let detail =
-                format!("the job would need about {bytes} bytes of memory; this service has {most} for all jobs");
-            return Err(Problem::new(Code::TooLarge, detail));
-        }
-        Ok(bytes)
-    }
-
-    /// How long the next bytes may take: so long as an upload may stand still, and no longer than the least rate allows.
-    fn patience(&self) -> Duration {
-        let limits = &self.app.jobs.limits;
-        let earned = Duration::from_secs_f64(self.bytes as f64 / limits.min_upload_rate.max(1) as f64);
-        let left = RATE_GRACE.saturating_add(earned).saturating_sub(self.started.elapsed());
-        limits.upload_idle.min(left)
-    }
-
-    /// Fingerprint of this request: its options, and its files by name and contents.
-    fn fingerprint(&self, options: &Value) -> String {
-        let mut hash = Sha256::new();
-        hash.update(options.to_string());
-        for (kind, files) in [("model", &self.manifest.models), ("file", &self.manifest.files)] {
-            for file in files {
-                hash.update(format!("\n{kind} {} {}", file.sha256, file.path));
-            }
-        }
-        hex::encode(hash.finalize())
-    }
-
-    /// What the result follows from, where it may be reused: equal options, files, limits and programs give equal bytes, unless there is a
-    /// limit on time. What is only returned or told is no part of it.
-    async fn result_key(&self, options: &Value) -> Option<String> {
-        if options.get("reuse") != Some(&Value::Bool(true)) || options.get("time_limit_s").is_some_and(|s| !s.is_null())
-        {
-            return None;
-        }
-        let build = build().await?;
-        let mut options = options.as_object()?.clone();
-        for told in ["reuse", "webhook", "metadata"] {
-            options.remove(told);
-        }
-        let limits = crate::asset::Limits::from(&self.app.jobs.limits);
-        let all = format!("{build}\n{limits:?}\n{}", self.fingerprint(&Value::Object(options)));
-        Some(hex::encode(Sha256::digest(all)))
-    }
-
-    fn take(&mut self) -> Manifest {
-        self.taken = true;
-        std::mem::take(&mut self.manifest)
-    }
-}
-
-impl Drop for IncomingUpload<'_> {
-    fn drop(&mut self) {
-        if !self.taken {
-            self.app.jobs.files.remove_uploads(&self.id);
-        }
-    }
-}
-
 /// A relative path with forward slashes that stays where it is.
-fn relative(path: &str) -> HandlerResult<String> {
+pub(super) fn relative(path: &str) -> HandlerResult<String> {
     let bad = |why: &str| Err(Problem::new(Code::InvalidRequest, format!("the file name `{}` {why}", truncated(path))));
     let path = path.replace('\\', "/");
     let path = path.strip_prefix("./").unwrap_or(&path);
@@ -554,7 +549,7 @@ pub(super) fn media_type(headers: &HeaderMap) -> String {
     truncated(value.split(';').next().unwrap_or("").trim()).to_ascii_lowercase()
 }
 
-fn truncated(text: &str) -> String {
+pub(super) fn truncated(text: &str) -> String {
     text.chars().take(100).collect()
 }
 
@@ -563,7 +558,7 @@ pub(super) fn stalled() -> Problem {
     problem.with_status(axum::http::StatusCode::REQUEST_TIMEOUT)
 }
 
-fn too_large(limit: u64) -> Problem {
+pub(super) fn too_large(limit: u64) -> Problem {
     Problem::new(Code::TooLarge, format!("a submission has at most {limit} bytes"))
 }
 

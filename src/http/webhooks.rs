@@ -11,6 +11,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::access::Caller;
 use super::examples;
+use super::jobs::JobPath;
 use super::problem::{HandlerResult, Problem};
 use super::{App, body};
 use crate::error::Code;
@@ -197,6 +198,49 @@ pub(super) async fn deliveries(
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(DeliveryPage { deliveries, next })).into_response())
 }
 
+/// What was and is to be told of a job: to the `webhook` of its options, and to receivers of its tenant.
+#[utoipa::path(get, path = "/v1/jobs/{id}/deliveries", tag = "webhooks", operation_id = "list_job_deliveries", params(JobPath, DeliveryQuery), responses(
+    (status = 200, description = "A page of them", body = DeliveryPage, example = json!(examples::job_deliveries())),
+    (status = 400, description = "A malformed query", body = Problem, content_type = "application/problem+json"),
+    (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn of_job(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    query: Result<Query<DeliveryQuery>, axum::extract::rejection::QueryRejection>,
+) -> HandlerResult {
+    let Query(query) = query.map_err(|e| Problem::new(Code::InvalidRequest, e.body_text()))?;
+    let limit = super::jobs::page_limit(query.limit)?;
+    app.jobs.queue.tenant_of(&id).await?.ok_or_else(|| crate::jobs::unknown(&id))?;
+    let (deliveries, next) = app.jobs.webhooks.store.job_deliveries(&id, query.cursor, limit).await?;
+    Ok(([(header::CACHE_CONTROL, "no-store")], Json(DeliveryPage { deliveries, next })).into_response())
+}
+
+/// Tells something of a job once more, under the same id.
+#[utoipa::path(post, path = "/v1/jobs/{id}/deliveries/{delivery}/replay", tag = "webhooks", operation_id = "replay_job_delivery",
+    params(JobPath, ("delivery" = String, Path, description = "Id of the delivery", example = "msg_0f5a9b7c2d4e6180a3c5e7f9b1d30426")),
+    responses(
+        (status = 202, description = "It is told now"),
+        (status = 404, description = "No such job or delivery", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It went to a receiver that is disabled", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn replay_of_job(
+    State(app): State<App>,
+    Path((id, delivery)): Path<(String, String)>,
+) -> HandlerResult<StatusCode> {
+    app.jobs.queue.tenant_of(&id).await?.ok_or_else(|| crate::jobs::unknown(&id))?;
+    replayed(app.jobs.webhooks.store.replay_of_job(&id, &delivery, Timestamp::now()).await?)
+}
+
+fn replayed(replayed: Replayed) -> HandlerResult<StatusCode> {
+    match replayed {
+        Replayed::Yes => Ok(StatusCode::ACCEPTED),
+        Replayed::Unknown => Err(Problem::new(Code::NotFound, "there is no such delivery")),
+        Replayed::Disabled => {
+            let detail = "the receiver is disabled, because it answered 410; delete it and make it again";
+            Err(Problem::new(Code::Conflict, detail))
+        }
+    }
+}
+
 /// Tells a receiver something once more, under the same id.
 #[utoipa::path(post, path = "/v1/webhooks/{id}/deliveries/{delivery}/replay", tag = "webhooks", operation_id = "replay_delivery",
     params(WebhookPath, ("delivery" = String, Path, description = "Id of the delivery", example = "msg_0f5a9b7c2d4e6180a3c5e7f9b1d30426")),
@@ -209,12 +253,5 @@ pub(super) async fn replay(
     Extension(caller): Extension<Caller>,
     Path((id, delivery)): Path<(String, String)>,
 ) -> HandlerResult<StatusCode> {
-    match app.jobs.webhooks.store.replay(tenant(&caller)?, &id, &delivery, Timestamp::now()).await? {
-        Replayed::Yes => Ok(StatusCode::ACCEPTED),
-        Replayed::Unknown => Err(Problem::new(Code::NotFound, "there is no such delivery")),
-        Replayed::Disabled => {
-            let detail = "the receiver is disabled, because it answered 410; delete it and make it again";
-            Err(Problem::new(Code::Conflict, detail))
-        }
-    }
+    replayed(app.jobs.webhooks.store.replay(tenant(&caller)?, &id, &delivery, Timestamp::now()).await?)
 }

@@ -11,7 +11,7 @@ use super::queue::sqlite::Sqlite;
 use crate::error::{Code, Failure, Result};
 
 /// What a data folder holds beside its queue. What is under way (`incoming`) and who lives (`workers`) is not for a copy.
-const FOLDERS: [&str; 2] = ["uploads", "objects"];
+const FOLDERS: [&str; 3] = ["uploads", "objects", "pieces"];
 
 /// Copies the data folder `from` to `to`. Files never change once they have their names, so most of them are copied first; then the queue
 /// stands still while what has come since is copied too, and the queue itself. Where both are on one volume, files are linked.

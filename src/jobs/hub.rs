@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
 
 use tokio::sync::{Notify, watch};
 use tokio_util::sync::CancellationToken;
@@ -79,7 +80,8 @@ impl Hub {
             }
             None => watch::Sender::new(live),
         };
-        Arc::new(Reporter { live: sender, stop, ahead: Notify::new(), floor, stored: Mutex::new(floor) })
+        let (entered, stored) = (Mutex::default(), Mutex::new(floor));
+        Arc::new(Reporter { live: sender, stop, ahead: Notify::new(), floor, entered, stored })
     }
 
     /// Registers that a job goes back to the queue.
@@ -122,6 +124,8 @@ pub struct Reporter {
     /// Notified when the fraction would run too far ahead of what is stored.
     pub ahead: Notify,
     floor: f64,
+    /// When each stage was entered.
+    entered: Mutex<Vec<(String, SystemTime)>>,
     /// The fraction that the queue knows.
     stored: Mutex<f64>,
 }
@@ -130,6 +134,11 @@ impl Reporter {
     /// Where the attempt stands.
     pub fn status(&self) -> AttemptStatus {
         self.live.borrow().status.clone()
+    }
+
+    /// The stages with the times at which they were entered.
+    pub(super) fn entered(&self) -> Vec<(String, SystemTime)> {
+        self.entered.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Notes that the queue knows this fraction.
@@ -154,6 +163,8 @@ impl Listener for Reporter {
             }
             let now = Progress { fraction, ..progress.clone() };
             if now.stage != old.stage && !now.stage.is_empty() {
+                let mut entered = self.entered.lock().unwrap_or_else(PoisonError::into_inner);
+                entered.push((now.stage.clone(), SystemTime::now()));
                 live.status.stages.push(now.clone());
             }
             live.status.progress = now;

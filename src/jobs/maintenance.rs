@@ -71,7 +71,9 @@ impl Jobs {
             self.files.remove_dead_workers();
         }
         let purged = self.queue.purge(now.minus(self.limits.keep_jobs)).await?;
+        self.batches.purge_batches(now.minus(self.limits.keep_jobs)).await?;
         self.webhooks.store.purge_deliveries(now.minus(self.limits.keep_jobs)).await?;
+        self.resumable.maintain(now, sweep && !self.foreign).await?;
         for job in self.files.untouched(ORPHANED_AFTER).iter().filter(|_| !self.foreign) {
             if !self.queue.needs_upload(job).await? {
                 self.files.remove_uploads(job);

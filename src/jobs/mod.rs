@@ -5,18 +5,22 @@
 
 mod apart;
 pub mod backup;
+pub mod batches;
 pub mod files;
 mod health;
 pub mod hub;
 pub mod keys;
 mod maintenance;
+pub mod otlp;
 pub mod queue;
 pub mod record;
+pub mod resumable;
 pub mod slots;
 mod storage;
 mod stored_options;
 mod system;
 pub mod telemetry;
+pub mod trace;
 pub mod webhooks;
 mod worker;
 
@@ -34,6 +38,7 @@ use self::telemetry::Telemetry;
 use crate::config::{Limits, Storage, Webhooks, Work};
 use crate::error::{Code, Failure, Result};
 pub use apart::attempt;
+use batches::BatchStore;
 use files::Files;
 use health::Health;
 use hub::Hub;
@@ -41,6 +46,7 @@ use keys::KeyStore;
 use queue::sqlite::Sqlite;
 use queue::{CancelReply, NewJob, Queue, Submitted};
 use record::{ArtifactEntry, Job, JobState};
+use resumable::{FolderPieces, Resumable};
 use slots::{SMALL, Slots};
 use webhooks::Deliverer;
 
@@ -85,6 +91,10 @@ pub struct Jobs {
     pub keys: Arc<dyn KeyStore>,
     /// Who is told of jobs that have ended.
     pub webhooks: Arc<Deliverer>,
+    /// Jobs that were submitted together.
+    pub batches: Arc<dyn BatchStore>,
+    /// Uploads that are sent in pieces.
+    pub resumable: Arc<Resumable>,
     /// The data folder.
     pub files: Files,
     /// What is known between two writes.
@@ -129,9 +139,12 @@ impl Jobs {
         tracing::info!(store = identity, "the job queue is open");
         let slots = Slots::new(usize::from(work.jobs), work.threads, work.memory())?;
         let queue = Arc::new(if slots.count() > 1 { queue.with_small(SMALL) } else { queue });
+        let pieces = Arc::new(FolderPieces::new(data.join("pieces")));
         let jobs = Jobs {
             queue: queue.clone(),
             keys: queue.clone(),
+            batches: queue.clone(),
+            resumable: Arc::new(Resumable::new(queue.clone(), pieces, limits.keep_uploads)),
             webhooks: Arc::new(Deliverer::new(queue, webhooks)?),
             files,
             hub: Hub::default(),

@@ -9,6 +9,7 @@ use prometheus::{
 
 use super::queue::AttemptEnd;
 use super::record::{JobState, Timestamp};
+use super::trace::Spans;
 use crate::error::{Failure, Result};
 
 /// Upper bounds of the buckets of job and stage times, in seconds.
@@ -28,6 +29,8 @@ pub struct Telemetry {
     slots: IntGauge,
     memory: IntGauge,
     oldest: Gauge,
+    /// What is told to a collector of traces.
+    pub spans: Spans,
     /// Bytes that were uploaded.
     pub received: IntCounter,
     /// Bytes of artifacts that were published.
@@ -109,6 +112,7 @@ impl Telemetry {
             received: counter("upload_bytes_total", "Bytes of uploads")?,
             published: counter("artifact_bytes_total", "Bytes of published artifacts")?,
             deaths: counter("job_deaths_total", "Processes of single jobs that died under this one")?,
+            spans: Spans::default(),
             registry,
         })
     }
@@ -154,5 +158,30 @@ impl Telemetry {
             .encode(&self.registry.gather(), &mut text)
             .map_err(|e| Failure::internal(format!("the metrics cannot be written: {e}")))?;
         String::from_utf8(text).map_err(|e| Failure::internal(e.to_string()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::path::Path;
+
+    /// Each metric that the alerts, the dashboard or the scaling name is one of those above.
+    #[test]
+    fn the_manifests_name_metrics_that_there_are() {
+        let docker = Path::new(env!("CARGO_MANIFEST_DIR")).join("docker");
+        let code = include_str!("telemetry.rs").split("mod tests").next().unwrap();
+        let mut named = BTreeSet::new();
+        for file in ["monitoring/alerts.yaml", "monitoring/dashboard.json", "kubernetes/keda.yaml"] {
+            let text = std::fs::read_to_string(docker.join(file)).unwrap();
+            for rest in text.split("intarsia_").skip(1) {
+                let end = rest.find(|c: char| !c.is_ascii_lowercase() && c != '_').unwrap_or(rest.len());
+                named.insert(rest[..end].trim_end_matches("_bucket").to_owned());
+            }
+        }
+        assert!(named.len() > 10, "{named:?}");
+        for name in named {
+            assert!(code.contains(&format!("\"{name}\"")), "there is no intarsia_{name}");
+        }
     }
 }

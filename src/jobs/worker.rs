@@ -22,6 +22,7 @@ use super::queue::{AttemptEnd, Claim, HeartbeatReply, canceled};
 use super::record::{ArtifactEntry, JobError, JobState};
 use super::slots::Slot;
 use super::stored_options;
+use super::trace::AttemptTrace;
 use crate::asset::{File, Limits};
 use crate::context::{Context, Listener, Progress, Timing};
 use crate::error::{Code, Failure, Result, Warning};
@@ -107,9 +108,16 @@ impl Jobs {
                 Ok(Some(claim)) => {
                     // There is capacity: nobody else takes any.
                     let Some(slot) = self.slots.take(claim.memory) else { continue };
-                    let span =
-                        tracing::info_span!("job", id = %claim.id, attempt = claim.attempt, request = claim.request);
-                    running.spawn(self.clone().run(claim, slot).instrument(span));
+                    let trace = AttemptTrace::new(&claim);
+                    let span = tracing::info_span!(
+                        "job",
+                        id = %claim.id,
+                        attempt = claim.attempt,
+                        request = claim.request,
+                        trace_id = trace.context.trace_id(),
+                        span_id = trace.context.span_id()
+                    );
+                    running.spawn(self.clone().run(claim, slot, trace).instrument(span));
                 }
                 Ok(None) if exit_when_idle && running.is_empty() && self.ready().is_ok() => {
                     tracing::info!("no job waits; stopping");
@@ -147,7 +155,7 @@ impl Jobs {
         }
     }
 
-    async fn run(self: Arc<Self>, claim: Claim, slot: Slot) {
+    async fn run(self: Arc<Self>, claim: Claim, slot: Slot, trace: AttemptTrace) {
         tracing::info!("job starts");
         let started = Instant::now();
         let reporter = self.hub.started(&claim.id, claim.attempt, claim.floor);
@@ -192,12 +200,16 @@ impl Jobs {
                 () = at(release_at), if !reporter.stop.token.is_cancelled() => reporter.stop.trigger(),
             }
         };
-        match attempt {
+        let end = match attempt {
             Attempt::Ended(computation) => {
-                self.publish(&claim, &reporter, computation, release_at.is_some(), started).await;
+                self.publish(&claim, &reporter, computation, release_at.is_some(), started).await
             }
-            Attempt::Died => self.bury(&claim, &reporter).await,
-        }
+            Attempt::Died => {
+                self.bury(&claim, &reporter).await;
+                None
+            }
+        };
+        trace.tell(&self.telemetry.spans, &claim, &reporter, end.as_ref());
     }
 
     /// Puts a job back whose own process died, or ends it; when the service goes down, that may be why it died.
@@ -231,6 +243,7 @@ impl Jobs {
         released
     }
 
+    /// Publishes what came of an attempt, and returns it where it counts.
     async fn publish(
         &self,
         claim: &Claim,
@@ -238,10 +251,10 @@ impl Jobs {
         computation: Computation,
         stopping: bool,
         started: Instant,
-    ) {
+    ) -> Option<AttemptEnd> {
         let stopped = matches!(&computation.result, Err(f) if f.code == Code::Canceled);
         if stopping && stopped && self.release(claim, reporter).await {
-            return;
+            return None;
         }
         let mut end = attempt_end(reporter, computation);
         let mut finished = self.finish(claim, &end).await;
@@ -259,7 +272,7 @@ impl Jobs {
         }
         let Some(published) = finished else {
             tracing::warn!("the end of this attempt could not be stored; the job runs again at the next start");
-            return;
+            return None;
         };
         if published {
             let code = end.error.as_ref().map_or("", |e| e.code.as_str());
@@ -279,6 +292,7 @@ impl Jobs {
         {
             tracing::error!(%failure, "files of the attempt are left for maintenance");
         }
+        published.then_some(end)
     }
 
     async fn finish(&self, claim: &Claim, end: &AttemptEnd) -> Option<bool> {

@@ -73,4 +73,24 @@ for recipe in names:
     assert told[0] == "snapshot" and told[-1] == "state", told
 check_named(http.get("/v1/jobs").json(), "JobPage", "/v1/jobs")
 
+# A large file in two pieces, which then stands for the models of a batch.
+begun = http.post("/v1/uploads", headers={"Upload-Length": str(len(model))})
+check_named(begun.json(), "Upload", "an upload that begins")
+place, half = begun.headers["location"], len(model) // 2
+for offset, piece in ((0, model[:half]), (half, model[half:])):
+    headers = {"Upload-Offset": str(offset), "Content-Type": "application/offset+octet-stream"}
+    sent = http.patch(place, content=piece, headers=headers)
+    assert sent.status_code == 204, sent.text
+upload = http.get(place).json()
+check_named(upload, "Upload", "an upload that is complete")
+answer = http.post("/v1/batches", json={"items": [{"model": upload["reference"]}] * 2})
+assert answer.status_code == 202, answer.text
+batch = answer.json()
+while batch["state"] in ("queued", "running"):
+    check_named(batch, "Batch", "a batch on its way")
+    batch = http.get(f"/v1/batches/{batch['id']}", headers={"Prefer": "wait=30"}).json()
+check_named(batch, "Batch", "a batch that has ended")
+assert batch["counts"]["succeeded"] == 2, batch
+check_named(http.get(f"{batch['jobs'][0]['href']}/deliveries").json(), "DeliveryPage", "deliveries of a job")
+
 print(f"Python: packing efficiency {efficiency:.3f}; the answers for {len(names)} recipes are as documented")

@@ -16,4 +16,11 @@ def as_json(context, value):
     return json.dumps(value).encode()
 
 
+@schemathesis.serializer("application/offset+octet-stream")
+def as_bytes(context, value):
+    """A piece of an upload is bytes."""
+    value = getattr(value, "data", value)
+    return value if isinstance(value, bytes) else str(value).encode()
+
+
 schemathesis.openapi.format("binary", strategies.just(MODEL) | strategies.binary(max_size=64))

@@ -71,6 +71,8 @@ if [ -n "$python" ]; then
   say "validator, examples"
   openapi-spec-validator "$document"
   python "$here/examples.py"
+  say "manifests"
+  python "$here/manifests.py" "$base" "$program"
   say "Python client"
   openapi-python-client generate --path "$document" --config "$here/python.yaml" --output-path "$work/client" --overwrite --fail-on-warning
   python "$here/client.py" "$base" "$work/sample.glb"

@@ -1,5 +1,6 @@
 //! What the service promises, over real HTTP against the running program.
 
+mod batches;
 mod errors;
 mod events;
 mod faults;
@@ -9,4 +10,6 @@ mod server;
 mod service;
 mod survival;
 mod tenants;
+mod traces;
+mod uploads;
 mod waiting;

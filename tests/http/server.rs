@@ -69,6 +69,19 @@ impl Server {
         self.agent.run(request.body(()).unwrap()).unwrap()
     }
 
+    /// A request with a body and headers.
+    pub fn send(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Response<Body> {
+        let request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", self.base));
+        let request = headers.iter().fold(request, |r, (k, v)| r.header(*k, *v));
+        self.agent.run(request.body(body.to_vec()).unwrap()).unwrap()
+    }
+
+    /// POST of a form to a path with headers.
+    pub fn send_form(&self, path: &str, form: &Form, headers: &[(&str, &str)]) -> Response<Body> {
+        let (media_type, body) = form.encoded();
+        self.send("POST", path, &[&[("content-type", media_type.as_str())], headers].concat(), &body)
+    }
+
     /// POST of a body with headers.
     pub fn post_with(&self, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Response<Body> {
         let request = self.agent.post(format!("{}{path}", self.base));

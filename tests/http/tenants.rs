@@ -70,13 +70,26 @@ fn a_tenants_key_reaches_nothing_of_anothers_on_any_route() {
     assert_eq!(hook.status(), 201);
     let hook = json(&mut hook)["webhook"]["id"].as_str().unwrap().to_owned();
 
+    let bearer = format!("Bearer {owner}");
+    let headers = [("authorization", bearer.as_str()), ("upload-length", "3")];
+    let mut upload = server.send("POST", "/v1/uploads", &headers, b"");
+    assert_eq!(upload.status(), 201);
+    let upload = json(&mut upload)["id"].as_str().unwrap().to_owned();
+    let form = Form::default().text("batch", r#"{"items": [{"model": "a.glb"}]}"#);
+    let form = form.file("files", "a.glb", crate::server::sample());
+    let mut batch = server.send_form("/v1/batches", &form, &headers[..1]);
+    assert_eq!(batch.status(), 202);
+    let batch = json(&mut batch)["id"].as_str().unwrap().to_owned();
+
     let contract = json(&mut server.get("/openapi.json", &[]));
     let mut walked = 0;
     for (route, item) in contract["paths"].as_object().unwrap() {
-        for method in ["get", "post", "delete"].into_iter().filter(|m| item.get(m).is_some()) {
+        for method in ["get", "post", "patch", "delete"].into_iter().filter(|m| item.get(m).is_some()) {
             let of_hook = route.starts_with("/v1/webhooks");
             let at = |id: &str| {
-                let id = if of_hook && id != none { &hook } else { id };
+                let own = [("/v1/webhooks", &hook), ("/v1/uploads", &upload), ("/v1/batches", &batch)];
+                let own = own.into_iter().find(|(prefix, _)| route.starts_with(prefix)).map(|(_, id)| id.as_str());
+                let id = own.filter(|_| id != none).unwrap_or(id);
                 let name = if route.starts_with("/page/") { "app.js" } else { "model.glb" };
                 route.replace("{id}", id).replace("{name}", name).replace("{delivery}", "msg_1")
             };
@@ -98,7 +111,14 @@ fn a_tenants_key_reaches_nothing_of_anothers_on_any_route() {
             let unknown = call(&server, &method, &at(id), &"x".repeat(64));
             assert_eq!(unknown.status(), 401);
             assert!(header(&unknown, "www-authenticate").contains("invalid_token"));
-            if route.starts_with("/v1/jobs/") {
+            let own =
+                ["/v1/jobs/", "/v1/uploads/", "/v1/batches/"].into_iter().find(|prefix| route.starts_with(prefix));
+            if let Some(prefix) = own {
+                let id = match prefix {
+                    "/v1/jobs/" => id,
+                    "/v1/uploads/" => &upload,
+                    _ => &batch,
+                };
                 // As if there were no such job.
                 let mut missing = call(&server, &method, &at(&none), &other);
                 let missing = (missing.status().as_u16(), String::from_utf8(bytes(&mut missing)).unwrap());
@@ -106,7 +126,7 @@ fn a_tenants_key_reaches_nothing_of_anothers_on_any_route() {
                 assert_eq!(status, 404, "{method} {route}");
                 // However it is spelled.
                 let odd = format!("%{:02x}{}", id.as_bytes()[0], &id[1..]);
-                assert_eq!(call(&server, &method, &at(&odd), &other).status(), 404, "{method} {route}");
+                assert_eq!(call(&server, &method, &at(id).replace(id, &odd), &other).status(), 404, "{method} {route}");
             } else if route == "/v1/webhooks" {
                 match method.as_str() {
                     "GET" => assert!(text.contains("\"webhooks\":[]"), "{text}"),
@@ -114,6 +134,10 @@ fn a_tenants_key_reaches_nothing_of_anothers_on_any_route() {
                 }
             } else if of_hook {
                 assert_eq!(status, 404, "{method} {route}");
+            } else if route == "/v1/uploads" {
+                assert_eq!(status, 400, "it may begin uploads of its own");
+            } else if route == "/v1/batches" {
+                assert_eq!(status, 415, "it may submit batches of its own");
             } else if route == "/v1/jobs" {
                 match method.as_str() {
                     "GET" => assert_eq!(serde_json::from_str::<Value>(&text).unwrap()["jobs"], json!([])),
@@ -124,7 +148,23 @@ fn a_tenants_key_reaches_nothing_of_anothers_on_any_route() {
             }
         }
     }
-    assert!(walked > 15, "{walked}");
+    assert!(walked > 25, "{walked}");
+
+    // What another has uploaded is as if it were not there, however it is named.
+    for (path, body) in [
+        ("/v1/jobs", json!({"model": format!("upload:{upload}")})),
+        ("/v1/batches", json!({"items": [{"model": format!("upload:{upload}")}]})),
+    ] {
+        let bearer = format!("Bearer {other}");
+        let headers = [("authorization", bearer.as_str()), ("content-type", "application/json")];
+        let mut refused = server.post_with(path, &headers, body.to_string().as_bytes());
+        let text = json(&mut refused).to_string();
+        assert!(refused.status() == 422 && text.contains("there is no upload"), "{text}");
+    }
+    let mut mine = call(&server, "GET", &format!("/v1/uploads/{upload}"), &owner);
+    assert_eq!(json(&mut mine)["offset"], 0);
+    let mut mine = call(&server, "GET", &format!("/v1/batches/{batch}"), &owner);
+    assert_eq!(json(&mut mine)["jobs"].as_array().unwrap().len(), 1);
 
     // Nothing has become of it, and its owner reaches all of it.
     let mut mine = call(&server, "GET", &format!("/v1/jobs/{id}"), &owner);
@@ -132,7 +172,7 @@ fn a_tenants_key_reaches_nothing_of_anothers_on_any_route() {
     let hooks = json(&mut call(&server, "GET", "/v1/webhooks", &owner));
     assert_eq!(hooks["webhooks"][0]["id"], hook.as_str());
     let mut listed = call(&server, "GET", "/v1/jobs", &owner);
-    assert_eq!(json(&mut listed)["jobs"][0]["id"], id);
+    assert!(json(&mut listed)["jobs"].as_array().unwrap().iter().any(|job| job["id"] == id));
     for artifact in job["artifacts"].as_array().unwrap() {
         let href = artifact["href"].as_str().unwrap();
         assert_eq!(call(&server, "GET", href, &owner).status(), 200);

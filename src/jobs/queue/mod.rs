@@ -160,16 +160,23 @@ pub struct NewJob {
     pub max_running: Option<u32>,
     /// What its result follows from, where it may be that of another job.
     pub result_key: Option<String>,
+    /// The traceparent of the request that brought it.
+    pub trace: Option<String>,
     /// How long artifacts of another job are kept for it.
     pub keep: Duration,
 }
 
 impl NewJob {
-    /// The client's key as it is stored: each tenant has its own. No key of a client holds a line end.
-    fn stored_key(&self) -> Option<String> {
+    /// The client's key as it is stored.
+    pub(super) fn stored_key(&self) -> Option<String> {
         let (key, _) = self.key.as_ref()?;
-        Some(if self.tenant.is_empty() { key.clone() } else { format!("{}\n{key}", self.tenant) })
+        Some(stored_key(&self.tenant, key))
     }
+}
+
+/// A client's key as it is stored: each tenant has its own. No key of a client holds a line end.
+pub(super) fn stored_key(tenant: &str, key: &str) -> String {
+    if tenant.is_empty() { key.to_owned() } else { format!("{tenant}\n{key}") }
 }
 
 /// What became of a new job.
@@ -218,6 +225,10 @@ pub struct Claim {
     pub memory: u64,
     /// The request that brought it.
     pub request: Option<String>,
+    /// The traceparent of that request.
+    pub trace: Option<String>,
+    /// Since when it waited.
+    pub queued_at: Timestamp,
     /// Whether a process died while it computed this job: it runs in a process of its own.
     pub suspect: bool,
 }

@@ -27,6 +27,15 @@ const MAX_HEAD: usize = 16 << 10;
 /// Addresses of a name that are tried.
 const MAX_ADDRESSES: usize = 4;
 
+/// TLS as a client, with the roots that browsers trust.
+pub(in crate::jobs) fn tls() -> Result<TlsConnector> {
+    let roots = RootCertStore { roots: webpki_roots::TLS_SERVER_ROOTS.to_vec() };
+    let config =
+        ClientConfig::builder_with_provider(Arc::new(ring::default_provider())).with_safe_default_protocol_versions();
+    let config = config.map_err(|e| Failure::internal(format!("TLS cannot be set up: {e}")))?;
+    Ok(Arc::new(config.with_root_certificates(roots).with_no_client_auth()).into())
+}
+
 /// Sends to receivers.
 pub(super) struct Client {
     tls: TlsConnector,
@@ -36,12 +45,7 @@ pub(super) struct Client {
 impl Client {
     /// A client that connects to what the policy permits.
     pub(super) fn new(policy: TargetPolicy) -> Result<Self> {
-        let roots = RootCertStore { roots: webpki_roots::TLS_SERVER_ROOTS.to_vec() };
-        let config = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
-            .with_safe_default_protocol_versions();
-        let config = config.map_err(|e| Failure::internal(format!("TLS cannot be set up: {e}")))?;
-        let tls = Arc::new(config.with_root_certificates(roots).with_no_client_auth()).into();
-        Ok(Client { tls, policy })
+        Ok(Client { tls: tls()?, policy })
     }
 
     /// Where webhooks may go.

@@ -18,6 +18,7 @@ use super::{Due, SECRET_PREFIX, Settled, WebhookStore};
 use crate::config::Webhooks;
 use crate::error::{Code, Failure, Result};
 use crate::jobs::record::Timestamp;
+use crate::jobs::trace::{TRACEPARENT, TraceContext};
 
 /// How long after each attempt the next one comes: three days in all, as Standard Webhooks proposes.
 const DELAYS: [Duration; 9] = [
@@ -188,6 +189,9 @@ impl Deliverer {
         let mut headers = HeaderMap::new();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/json"));
         headers.insert(header::USER_AGENT, HeaderValue::from_static(concat!("intarsia/", env!("CARGO_PKG_VERSION"))));
+        if let Some(trace) = due.trace.as_deref().and_then(TraceContext::parse) {
+            headers.insert(TRACEPARENT, value(&trace.child().to_string())?);
+        }
         headers.insert(HEADER_WEBHOOK_ID, value(&due.id)?);
         headers.insert(HEADER_WEBHOOK_TIMESTAMP, seconds.into());
         headers.insert(HEADER_WEBHOOK_SIGNATURE, value(&signatures)?);

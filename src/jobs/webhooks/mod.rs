@@ -15,6 +15,7 @@ use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+pub(super) use self::client::tls;
 pub use self::deliver::Deliverer;
 use super::record::Timestamp;
 use crate::error::{Failure, Result};
@@ -84,6 +85,8 @@ pub struct Delivery {
     pub id: String,
     /// The job.
     pub job: String,
+    /// The receiver; null where it goes to the `webhook` of the job.
+    pub webhook: Option<String>,
     /// What it tells.
     pub event: String,
     /// Where it stands.
@@ -128,6 +131,8 @@ pub struct Due {
     pub secrets: Vec<StoredSecret>,
     /// The body.
     pub payload: String,
+    /// The traceparent of its job.
+    pub trace: Option<String>,
 }
 
 /// What came of an attempt.
@@ -183,6 +188,12 @@ pub trait WebhookStore: Send + Sync {
 
     /// Makes a delivery due once more, as if it had never been tried.
     async fn replay(&self, tenant: &str, webhook: &str, delivery: &str, now: Timestamp) -> Result<Replayed>;
+
+    /// What was or is to be told of a job, to its own `webhook` and to receivers, the newest first: those under `cursor`, and the next cursor.
+    async fn job_deliveries(&self, job: &str, cursor: Option<i64>, limit: u32) -> Result<(Vec<Delivery>, Option<i64>)>;
+
+    /// Makes a delivery of a job due once more, as if it had never been tried.
+    async fn replay_of_job(&self, job: &str, delivery: &str, now: Timestamp) -> Result<Replayed>;
 
     /// Takes deliveries whose time has come at `now`, the longest due first and at most `per_tenant` of a tenant. Whoever takes them has
     /// `lease`: after that they are due again.

@@ -1,8 +1,11 @@
 //! The queue in one SQLite file (WAL): for one machine, any number of processes. All SQL of jobs stands here and beside it.
 
+mod batches;
 mod keys;
 mod migrations;
 mod rows;
+mod submit;
+mod uploads;
 mod webhooks;
 
 use std::path::Path;
@@ -20,12 +23,12 @@ use self::migrations::MIGRATIONS;
 use self::rows::{job, json, parsed, states};
 use super::{
     AttemptEnd, AttemptStatus, CancelReply, Capacity, Claim, HeartbeatReply, Listing, MAX_DEATHS, MAX_PROGRESS_LEAD,
-    NewJob, Queue, Remove, StoredBytes, Submitted, canceled, given_up, mismatch, queue_full, quota_of_waiting,
+    NewJob, Queue, Remove, StoredBytes, Submitted, canceled, given_up,
 };
 use crate::context::Progress;
 use crate::error::{Code, Failure, Result};
-use crate::jobs::files::{self, disk};
-use crate::jobs::record::{ArtifactEntry, Job, JobState, Timestamp};
+use crate::jobs::files::disk;
+use crate::jobs::record::{Job, JobState, Timestamp};
 use crate::metrics::RefinementOutcome;
 
 /// The place of a job among those of its tenant that wait: 1 is next. Small jobs do not wait for those that are not.
@@ -198,57 +201,13 @@ impl Queue for Sqlite {
     }
 
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted> {
-        let (key, fingerprint) = (job.stored_key(), job.key.as_ref().map(|(_, fingerprint)| fingerprint.as_str()));
         let mut step = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
-        let done = sqlx::query(
-            "INSERT INTO jobs (id, state, turn, options, inputs, memory, key, fingerprint, request, created_at, queued_at, progress,
-               upload_bytes, tenant, size, max_running, result_key)
-             SELECT ?1, 'queued', (SELECT coalesce(max(turn), 0) + 1 FROM jobs WHERE state = 'queued'), ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8, ?10, ?11,
-               ?12, CASE ?12 WHEN '' THEN 0 ELSE ?4 END, ?13, ?15
-             WHERE (SELECT count(*) FROM jobs WHERE state = 'queued') < ?9
-               AND (?14 IS NULL OR (SELECT count(*) FROM jobs WHERE state = 'queued' AND tenant = ?12) < ?14)
-             ON CONFLICT (key) DO NOTHING",
-        )
-        .bind(&job.id)
-        .bind(job.options.to_string())
-        .bind(json(&job.inputs)?)
-        .bind(integer(job.memory))
-        .bind(&key)
-        .bind(fingerprint)
-        .bind(&job.request)
-        .bind(Timestamp::now().0)
-        .bind(most)
-        .bind(json(&Progress::default())?)
-        .bind(integer(job.bytes))
-        .bind(&job.tenant)
-        .bind(job.max_running)
-        .bind(job.max_queued)
-        .bind(&job.result_key)
-        .execute(&mut *step)
-        .await?;
-        if done.rows_affected() > 0 {
-            let reused = match &job.result_key {
-                Some(key) => reuse(&mut step, job, key).await?,
-                None => false,
-            };
-            step.commit().await?;
-            return Ok(if reused { Submitted::Reused } else { Submitted::New });
+        let submitted = submit::insert(&mut step, job, most).await;
+        match submitted {
+            Ok(Submitted::New | Submitted::Reused) => step.commit().await?,
+            _ => step.rollback().await?,
         }
-        step.rollback().await?;
-        let known = sqlx::query("SELECT id, fingerprint FROM jobs WHERE key = ?1")
-            .bind(&key)
-            .fetch_optional(self.pool()?)
-            .await?;
-        let Some(row) = known else {
-            let sql = "SELECT count(*) FROM jobs WHERE state = 'queued'";
-            let waiting: i64 = sqlx::query(sql).fetch_one(&self.pool).await?.try_get(0)?;
-            return Err(match job.max_queued {
-                Some(of_tenant) if waiting < i64::from(most) => quota_of_waiting(of_tenant),
-                _ => queue_full(),
-            });
-        };
-        let before: Option<String> = row.try_get(1)?;
-        if before.as_deref() == fingerprint { Ok(Submitted::Known(row.try_get(0)?)) } else { Err(mismatch()) }
+        submitted
     }
 
     async fn get(&self, id: &str) -> Result<Option<Job>> {
@@ -303,7 +262,7 @@ impl Queue for Sqlite {
             "UPDATE jobs SET state = 'running', attempt = attempt + 1, owner = ?1, lease_until = ?2, started_at = ?3,
                warnings = '[]', timings = '[]', stages = '[]'
              WHERE state = 'queued' AND seq = ({NEXT})
-             RETURNING id, attempt, options, inputs, progress, memory, request, suspect",
+             RETURNING id, attempt, options, inputs, progress, memory, request, suspect, trace, queued_at",
         );
         let rows = sqlx::query(AssertSqlSafe(sql))
             .bind(owner)
@@ -325,6 +284,8 @@ impl Queue for Sqlite {
             floor: progress.get("fraction").and_then(Value::as_f64).unwrap_or(0.0),
             memory: row.try_get::<i64, _>("memory")?.unsigned_abs(),
             request: row.try_get("request")?,
+            trace: row.try_get("trace")?,
+            queued_at: Timestamp(row.try_get("queued_at")?),
             suspect: row.try_get("suspect")?,
         }))
     }
@@ -602,48 +563,6 @@ impl Queue for Sqlite {
         }
         Ok(step.commit().await?)
     }
-}
-
-/// Gives a new job the result of an equal one, where there is one; its artifacts stay as long as either job needs them.
-async fn reuse(step: &mut sqlx::SqliteConnection, job: &NewJob, key: &str) -> Result<bool> {
-    let now = Timestamp::now();
-    let source = sqlx::query(
-        "SELECT id, attempt, artifacts FROM jobs WHERE result_key = ?1 AND tenant = ?2 AND state = 'succeeded'
-           AND artifacts_removed = 0 AND artifacts_expire_at > ?3 ORDER BY seq DESC LIMIT 1",
-    )
-    .bind(key)
-    .bind(&job.tenant)
-    .bind(now.0)
-    .fetch_optional(&mut *step)
-    .await?;
-    let Some(source) = source else { return Ok(false) };
-    let (id, attempt): (String, i64) = (source.try_get("id")?, source.try_get("attempt")?);
-    let mut artifacts: Vec<ArtifactEntry> = parsed(&source, "artifacts")?;
-    for entry in &mut artifacts {
-        entry.href = Some(files::href(&job.id, &entry.name));
-    }
-    sqlx::query(
-        "INSERT INTO objects (sha256, job, attempt) SELECT sha256, ?1, 0 FROM objects WHERE job = ?2 AND attempt = ?3",
-    )
-    .bind(&job.id)
-    .bind(&id)
-    .bind(attempt)
-    .execute(&mut *step)
-    .await?;
-    sqlx::query(
-        "UPDATE jobs SET state = 'succeeded', finished_at = ?3, artifacts_expire_at = ?4, artifacts = ?5,
-           (progress, stages, warnings, artifact_bytes, outcome)
-             = (SELECT progress, stages, warnings, artifact_bytes, outcome FROM jobs WHERE id = ?2)
-         WHERE id = ?1",
-    )
-    .bind(&job.id)
-    .bind(&id)
-    .bind(now.0)
-    .bind(now.plus(job.keep).0)
-    .bind(json(&artifacts)?)
-    .execute(&mut *step)
-    .await?;
-    Ok(true)
 }
 
 /// A number as a column holds it.

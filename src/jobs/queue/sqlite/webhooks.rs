@@ -89,9 +89,7 @@ impl WebhookStore for Sqlite {
         .bind(limit)
         .fetch_all(&self.pool)
         .await?;
-        let full = rows.len() as u64 == u64::from(limit);
-        let next = rows.last().filter(|_| full).map(|row| row.try_get("seq")).transpose()?;
-        Ok(Some((rows.iter().map(delivery).collect::<Result<_>>()?, next)))
+        page(&rows, limit).map(Some)
     }
 
     async fn replay(&self, tenant: &str, webhook: &str, delivery: &str, now: Timestamp) -> Result<Replayed> {
@@ -114,6 +112,31 @@ impl WebhookStore for Sqlite {
         Ok(if known.is_some() { Replayed::Disabled } else { Replayed::Unknown })
     }
 
+    async fn job_deliveries(&self, job: &str, cursor: Option<i64>, limit: u32) -> Result<(Vec<Delivery>, Option<i64>)> {
+        let sql = "SELECT * FROM deliveries WHERE job = ?1 AND (?2 IS NULL OR seq < ?2) ORDER BY seq DESC LIMIT ?3";
+        let rows = sqlx::query(sql).bind(job).bind(cursor).bind(limit).fetch_all(&self.pool).await?;
+        page(&rows, limit)
+    }
+
+    async fn replay_of_job(&self, job: &str, delivery: &str, now: Timestamp) -> Result<Replayed> {
+        let done = sqlx::query(
+            "UPDATE deliveries SET attempts = 0, next_at = ?3, delivered_at = NULL, status = NULL, error = NULL
+             WHERE id = ?2 AND job = ?1
+               AND (webhook IS NULL OR EXISTS (SELECT 1 FROM webhooks WHERE id = webhook AND disabled_at IS NULL))",
+        )
+        .bind(job)
+        .bind(delivery)
+        .bind(now.0)
+        .execute(self.pool()?)
+        .await?;
+        if done.rows_affected() > 0 {
+            return Ok(Replayed::Yes);
+        }
+        let sql = "SELECT 1 FROM deliveries WHERE id = ?1 AND job = ?2";
+        let known = sqlx::query(sql).bind(delivery).bind(job).fetch_optional(&self.pool).await?;
+        Ok(if known.is_some() { Replayed::Disabled } else { Replayed::Unknown })
+    }
+
     async fn due(&self, now: Timestamp, lease: Duration, limit: u32, per_tenant: u32) -> Result<Vec<Due>> {
         // Most looks find nothing, and need not write.
         let sql = "SELECT 1 FROM deliveries WHERE next_at <= ?1 LIMIT 1";
@@ -127,7 +150,8 @@ impl WebhookStore for Sqlite {
                  FROM deliveries WHERE next_at <= ?1)
                WHERE place <= ?4 ORDER BY next_at, seq LIMIT ?3)
              RETURNING id, attempts, tenant, webhook, url, payload,
-               coalesce((SELECT secrets FROM webhooks WHERE webhooks.id = webhook), '[]') AS secrets",
+               coalesce((SELECT secrets FROM webhooks WHERE webhooks.id = webhook), '[]') AS secrets,
+               (SELECT trace FROM jobs WHERE jobs.id = job) AS trace",
         )
         .bind(now.0)
         .bind(now.plus(lease).0)
@@ -144,6 +168,7 @@ impl WebhookStore for Sqlite {
                 url: row.try_get("url")?,
                 secrets: parsed(row, "secrets")?,
                 payload: row.try_get("payload")?,
+                trace: row.try_get("trace")?,
             })
         };
         rows.iter().map(due).collect()
@@ -188,6 +213,13 @@ impl WebhookStore for Sqlite {
     }
 }
 
+/// A page of deliveries, and the cursor of the next.
+fn page(rows: &[SqliteRow], limit: u32) -> Result<(Vec<Delivery>, Option<i64>)> {
+    let full = rows.len() as u64 == u64::from(limit);
+    let next = rows.last().filter(|_| full).map(|row| row.try_get("seq")).transpose()?;
+    Ok((rows.iter().map(delivery).collect::<Result<_>>()?, next))
+}
+
 fn webhook(row: &SqliteRow) -> Result<Webhook> {
     Ok(Webhook {
         id: row.try_get("id")?,
@@ -210,6 +242,7 @@ fn delivery(row: &SqliteRow) -> Result<Delivery> {
     Ok(Delivery {
         id: row.try_get("id")?,
         job: row.try_get("job")?,
+        webhook: row.try_get("webhook")?,
         event: row.try_get("event")?,
         state,
         attempts: row.try_get("attempts")?,

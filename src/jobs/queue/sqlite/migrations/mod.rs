@@ -28,6 +28,9 @@ pub(super) const MIGRATIONS: &[Migration] = &[
     Migration { version: 5, sql: include_str!("5_tenants_and_keys.sql") },
     Migration { version: 6, sql: include_str!("6_webhooks.sql") },
     Migration { version: 7, sql: include_str!("7_reuse.sql") },
+    Migration { version: 8, sql: include_str!("8_uploads.sql") },
+    Migration { version: 9, sql: include_str!("9_batches.sql") },
+    Migration { version: 10, sql: include_str!("10_traces.sql") },
 ];
 
 /// Fails for a store that this program cannot use. It is only read: a newer version's stays as it is.
