@@ -135,7 +135,7 @@ pub(super) async fn create(
     if events.is_empty() {
         events = WebhookEvent::ALL.to_vec();
     }
-    let created_at = Timestamp::now();
+    let created_at = app.jobs.webhooks.store.time().await?;
     let webhook = Webhook { id: new_id()?, url, events, created_at, disabled_at: None, disabled_because: None };
     let secret = new_secret()?;
     if !app.jobs.webhooks.store.add_webhook(tenant, &webhook, &secret).await? {
@@ -170,7 +170,7 @@ pub(super) async fn rotate(
     Extension(caller): Extension<Caller>,
     Path(id): Path<String>,
 ) -> HandlerResult {
-    let (secret, previous_until) = (new_secret()?, Timestamp::now().plus(ROTATION));
+    let (secret, previous_until) = (new_secret()?, app.jobs.webhooks.store.time().await?.plus(ROTATION));
     if !app.jobs.webhooks.store.rotate_secret(tenant(&caller)?, &id, &secret, previous_until).await? {
         return Err(unknown());
     }
@@ -209,7 +209,8 @@ pub(super) async fn replay(
     Extension(caller): Extension<Caller>,
     Path((id, delivery)): Path<(String, String)>,
 ) -> HandlerResult<StatusCode> {
-    match app.jobs.webhooks.store.replay(tenant(&caller)?, &id, &delivery, Timestamp::now()).await? {
+    let store = &app.jobs.webhooks.store;
+    match store.replay(tenant(&caller)?, &id, &delivery, store.time().await?).await? {
         Replayed::Yes => Ok(StatusCode::ACCEPTED),
         Replayed::Unknown => Err(Problem::new(Code::NotFound, "there is no such delivery")),
         Replayed::Disabled => {
