@@ -145,6 +145,42 @@ impl std::fmt::Debug for Secret {
     }
 }
 
+/// Where the queue stands. It may hold a password, so nothing shows it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct QueueAddress(Secret);
+
+impl QueueAddress {
+    /// The URL of PostgreSQL; `None` for the file in the data folder.
+    ///
+    /// # Errors
+    /// `invalid_request` for anything else.
+    pub fn postgres(&self) -> crate::error::Result<Option<&Secret>> {
+        match self.0.text() {
+            "sqlite" => Ok(None),
+            url if url.starts_with("postgres://") || url.starts_with("postgresql://") => Ok(Some(&self.0)),
+            // Not repeated: it may be a password with a typing error before it.
+            _ => {
+                let message = "--queue is neither `sqlite` nor `postgres://USER:PASSWORD@HOST:PORT/DATABASE`";
+                Err(crate::error::Failure::new(crate::error::Code::InvalidRequest, message))
+            }
+        }
+    }
+}
+
+impl Default for QueueAddress {
+    fn default() -> Self {
+        QueueAddress(Secret("sqlite".to_owned()))
+    }
+}
+
+impl std::str::FromStr for QueueAddress {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Ok(QueueAddress(Secret(text.to_owned())))
+    }
+}
+
 /// Whether callers need an API key.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum Auth {
@@ -210,6 +246,16 @@ pub struct Keys {
     /// Folder of the queue, the uploads and the results.
     #[arg(long, env = "INTARSIA_DATA_DIR", default_value = "./intarsia-data", global = true)]
     pub data_dir: PathBuf,
+    /// The service's `--queue`: its keys are there.
+    #[arg(
+        long,
+        env = "INTARSIA_QUEUE",
+        value_name = "ADDRESS",
+        default_value = "sqlite",
+        hide_env_values = true,
+        global = true
+    )]
+    pub queue: QueueAddress,
     /// What to do.
     #[command(subcommand)]
     pub command: KeysCommand,
@@ -285,6 +331,15 @@ pub struct Storage {
     /// it is not ready. Without it, 64MiB, or a tenth of the volume where that is less.
     #[arg(long, env = "INTARSIA_MIN_FREE", value_parser = parse_size)]
     pub min_free: Option<u64>,
+    /// Where the queue stands: `sqlite`, a file in the data folder, for any number of processes on one machine; or
+    /// `postgres://USER:PASSWORD@HOST:PORT/DATABASE`, for any number of machines, with API keys and webhooks. Better given by the environment:
+    /// others on the machine can read command lines.
+    #[arg(long, env = "INTARSIA_QUEUE", value_name = "ADDRESS", default_value = "sqlite", hide_env_values = true)]
+    pub queue: QueueAddress,
+    /// Where uploads wait and results are kept: a folder, or `s3://BUCKET/PREFIX`, which machines can share; the endpoint and the credentials
+    /// come from the usual AWS_ variables of the environment. Without it, the data folder.
+    #[arg(long, env = "INTARSIA_STORE", value_name = "ADDRESS")]
+    pub store: Option<String>,
     /// Take over stored files whose own queue is lost: what this queue does not know is removed.
     #[arg(long, env = "INTARSIA_ADOPT_STORE")]
     pub adopt_store: bool,

@@ -2,11 +2,11 @@
 
 use intarsia::config::{Keys, KeysCommand};
 use intarsia::error::{Code, Failure, Result};
-use intarsia::jobs::keys::{Key, KeyStore, NewKey, hash};
-use intarsia::jobs::queue::sqlite::Sqlite;
+use intarsia::jobs::keys::{Key, NewKey, hash};
+use intarsia::jobs::queue::open::{FILE, open};
 use serde_json::json;
 
-/// Does it with the data folder of the service; makes one where there is none, for the first key.
+/// Does it with the queue of the service; makes a data folder where there is none, for the first key.
 pub fn run(arguments: &Keys) -> Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     runtime.map_err(|e| Failure::internal(format!("no runtime: {e}")))?.block_on(with_store(arguments))
@@ -14,15 +14,16 @@ pub fn run(arguments: &Keys) -> Result<()> {
 
 async fn with_store(arguments: &Keys) -> Result<()> {
     let folder = &arguments.data_dir;
-    let queue = folder.join("queue.sqlite");
-    if let KeysCommand::Create { .. } = arguments.command {
+    if arguments.queue.postgres()?.is_some() {
+        // The data folder has nothing to say.
+    } else if let KeysCommand::Create { .. } = arguments.command {
         let failed = |e| Failure::new(Code::InvalidRequest, format!("cannot make {}: {e}", folder.display()));
         std::fs::create_dir_all(folder).map_err(failed)?;
-    } else if !queue.exists() {
-        let message = format!("{} holds no queue.sqlite; --data-dir names the service's folder", folder.display());
+    } else if !folder.join(FILE).exists() {
+        let message = format!("{} holds no {FILE}; --data-dir names the service's folder", folder.display());
         return Err(Failure::new(Code::InvalidRequest, message));
     }
-    let store = Sqlite::open(&queue).await?;
+    let store = open(&arguments.queue, folder, None).await?.keys;
     match arguments.command.clone() {
         KeysCommand::Create { tenant, scope, name, quotas } => {
             let (key, token) = NewKey { tenant, scopes: scope, name, quotas }.make()?;

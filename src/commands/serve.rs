@@ -81,6 +81,7 @@ async fn serve(arguments: &Serve) -> Result<()> {
     });
     let maintenance = tokio::spawn(jobs.clone().run_maintenance());
     tokio::spawn(jobs.clone().watch());
+    tokio::spawn(jobs.clone().listen());
     tokio::spawn(jobs.webhooks.clone().run(jobs.shutdown.clone()));
     // For `intarsia health`, which does not know how this process was started. Where it cannot be written, the service has other troubles.
     let _ = std::fs::write(arguments.data_dir.join(ADDRESS), format!("{address}\n"));

@@ -1,16 +1,13 @@
 //! `/v1/jobs/{id}/artifacts/{name}`: the files of a result.
 
-use std::io::SeekFrom;
 use std::ops::RangeInclusive;
 
-use axum::body::{Body, Bytes};
+use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::Response;
-use futures_util::stream;
+use futures_util::TryStreamExt;
 use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
-use tokio::fs::File;
-use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use utoipa::openapi::{self, HeaderBuilder, RefOr};
 use utoipa::{IntoParams, PartialSchema, ToResponse, ToSchema};
 
@@ -22,9 +19,6 @@ use super::problem::{HandlerResult, Problem};
 use crate::error::{Code, Failure};
 use crate::metrics::Report;
 use crate::texture::Format;
-
-/// Bytes that are read at once.
-const CHUNK: usize = 128 << 10;
 
 /// What an artifact is asked for with.
 #[derive(IntoParams)]
@@ -98,7 +92,7 @@ pub(super) async fn fetch(
     Path((id, name)): Path<(String, String)>,
     headers: HeaderMap,
 ) -> HandlerResult {
-    let (entry, path) = app.jobs.artifact(&id, &name).await?;
+    let entry = app.jobs.artifact(&id, &name).await?;
     let etag = format!("\"{}\"", entry.sha256);
     let builder = Response::builder()
         .header(header::ETAG, &etag)
@@ -111,10 +105,6 @@ pub(super) async fn fetch(
     if matches(&headers, &etag) {
         return built(builder.status(StatusCode::NOT_MODIFIED).body(Body::empty()));
     }
-    let mut file = File::open(&path).await.map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => Problem::new(Code::Gone, "the artifacts of this job have been removed"),
-        _ => crate::jobs::files::disk(&path, &e).into(),
-    })?;
     let same = headers.get(header::IF_RANGE).is_none_or(|v| v.as_bytes() == etag.as_bytes());
     let asked = headers.get(header::RANGE).filter(|_| same).and_then(|v| v.to_str().ok());
     let media_type = HeaderValue::from_str(&entry.media_type)
@@ -137,24 +127,11 @@ pub(super) async fn fetch(
             return Ok(response);
         }
     };
-    let length = if entry.bytes == 0 { 0 } else { range.end() - range.start() + 1 };
-    file.seek(SeekFrom::Start(*range.start())).await.map_err(|e| crate::jobs::files::disk(&path, &e))?;
-    built(builder.header(header::CONTENT_LENGTH, length).body(Body::from_stream(chunks(file, length))))
-}
-
-/// `length` bytes of the file from where it stands.
-fn chunks(file: File, length: u64) -> impl stream::Stream<Item = std::io::Result<Bytes>> {
-    stream::try_unfold((file, length), |(mut file, left)| async move {
-        if left == 0 {
-            return Ok(None);
-        }
-        let mut chunk = Vec::with_capacity(CHUNK.min(usize::try_from(left).unwrap_or(CHUNK)));
-        let n = (&mut file).take(left.min(CHUNK as u64)).read_buf(&mut chunk).await?;
-        if n == 0 {
-            return Err(std::io::ErrorKind::UnexpectedEof.into());
-        }
-        Ok(Some((Bytes::from(chunk), (file, left - n as u64))))
-    })
+    let range = if entry.bytes == 0 { 0..0 } else { *range.start()..range.end() + 1 };
+    let length = range.end - range.start;
+    // A client that is not given all that was announced knows that it has nothing.
+    let parts = app.jobs.bytes(&entry, range).await?.map_err(std::io::Error::other);
+    built(builder.header(header::CONTENT_LENGTH, length).body(Body::from_stream(parts)))
 }
 
 /// What a `Range` header asks for.

@@ -31,7 +31,7 @@ use crate::jobs::record::{Job, JobState};
 /// Shortest time between two reads of the job.
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
 /// Longest time between two reads: another process may be computing the job.
-const MAX_INTERVAL: Duration = Duration::from_secs(3);
+const MAX_INTERVAL: Duration = Duration::from_secs(1);
 /// A comment goes out when nothing else has for so long.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 

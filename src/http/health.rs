@@ -49,8 +49,9 @@ pub(super) async fn ready(State(app): State<App>) -> HandlerResult<Json<Health>>
         example = "# TYPE intarsia_jobs_running gauge\nintarsia_jobs_running 0\n"),
     (status = 500, description = "The job queue does not answer", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn metrics(State(app): State<App>) -> HandlerResult {
-    let (counts, since) = (app.jobs.queue.counts().await?, app.jobs.queue.waits_since().await?);
-    let text = app.jobs.telemetry.text(&counts, since, app.jobs.slots.usage())?;
+    let queue = &app.jobs.queue;
+    let (counts, since, now) = (queue.counts().await?, queue.waits_since().await?, queue.now().await?);
+    let text = app.jobs.telemetry.text(&counts, since, now, app.jobs.slots.usage())?;
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
 }
 

@@ -302,7 +302,7 @@ impl<'a> IncomingUpload<'a> {
 impl Drop for IncomingUpload<'_> {
     fn drop(&mut self) {
         if !self.taken {
-            self.app.jobs.files.remove_uploads(&self.id);
+            self.app.jobs.files.remove_incoming(&self.id);
         }
     }
 }

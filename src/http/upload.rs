@@ -511,7 +511,7 @@ async fn form(incoming: &mut IncomingUpload<'_>, request: Request) -> HandlerRes
                 incoming.add(stored, false)?;
             }
             "options" if options.is_none() => {
-                options = Some(json(&incoming, "the options", MAX_OPTIONS_BYTES, &mut field).await?);
+                options = Some(json(incoming, "the options", MAX_OPTIONS_BYTES, &mut field).await?);
             }
             "options" => return Err(Problem::new(Code::InvalidRequest, "`options` stands twice in the form")),
             other => {

@@ -136,7 +136,7 @@ pub(super) async fn create(
     if events.is_empty() {
         events = WebhookEvent::ALL.to_vec();
     }
-    let created_at = Timestamp::now();
+    let created_at = app.jobs.webhooks.store.time().await?;
     let webhook = Webhook { id: new_id()?, url, events, created_at, disabled_at: None, disabled_because: None };
     let secret = new_secret()?;
     if !app.jobs.webhooks.store.add_webhook(tenant, &webhook, &secret).await? {
@@ -171,7 +171,7 @@ pub(super) async fn rotate(
     Extension(caller): Extension<Caller>,
     Path(id): Path<String>,
 ) -> HandlerResult {
-    let (secret, previous_until) = (new_secret()?, Timestamp::now().plus(ROTATION));
+    let (secret, previous_until) = (new_secret()?, app.jobs.webhooks.store.time().await?.plus(ROTATION));
     if !app.jobs.webhooks.store.rotate_secret(tenant(&caller)?, &id, &secret, previous_until).await? {
         return Err(unknown());
     }
@@ -227,7 +227,8 @@ pub(super) async fn replay_of_job(
     Path((id, delivery)): Path<(String, String)>,
 ) -> HandlerResult<StatusCode> {
     app.jobs.queue.tenant_of(&id).await?.ok_or_else(|| crate::jobs::unknown(&id))?;
-    replayed(app.jobs.webhooks.store.replay_of_job(&id, &delivery, Timestamp::now()).await?)
+    let store = &app.jobs.webhooks.store;
+    replayed(store.replay_of_job(&id, &delivery, store.time().await?).await?)
 }
 
 fn replayed(replayed: Replayed) -> HandlerResult<StatusCode> {
@@ -253,5 +254,6 @@ pub(super) async fn replay(
     Extension(caller): Extension<Caller>,
     Path((id, delivery)): Path<(String, String)>,
 ) -> HandlerResult<StatusCode> {
-    replayed(app.jobs.webhooks.store.replay(tenant(&caller)?, &id, &delivery, Timestamp::now()).await?)
+    let store = &app.jobs.webhooks.store;
+    replayed(store.replay(tenant(&caller)?, &id, &delivery, store.time().await?).await?)
 }

@@ -1,14 +1,12 @@
-//! The files of jobs, in the data folder: `incoming/<worker>/…` what is being received or written, `uploads/<job>/<n>` what jobs wait
-//! with, `objects/<xx>/<sha256>` the files of results, each once however many jobs have it.
+//! The data folder of a process: `incoming/<worker>/…` what is being received, computed on or written. What is complete goes to the store
+//! ([`super::store`]).
 //!
-//! Names from outside never become paths: files are numbered or named by their contents, and what they are called stands in the queue. A
-//! file gets its final name only when all of it is on the disk.
+//! Names from outside never become paths: files are numbered or named by their contents, and what they are called stands in the queue.
 
 use std::fs;
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
 
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use serde::{Deserialize, Serialize};
@@ -65,7 +63,7 @@ impl Files {
     pub fn open(root: &Path) -> Result<Self> {
         let owner = new_id()?;
         let incoming = Path::new("incoming").join(&owner);
-        for part in [Path::new("uploads"), Path::new("objects"), Path::new("workers"), &incoming] {
+        for part in [Path::new("workers"), &incoming] {
             let folder = root.join(part);
             fs::create_dir_all(&folder).map_err(|e| disk(&folder, &e))?;
         }
@@ -92,16 +90,12 @@ impl Files {
         &self.owner
     }
 
-    /// Where the queue stands.
-    pub fn queue(&self) -> PathBuf {
-        self.root.join("queue.sqlite")
-    }
-
-    /// Whether the process of a worker is gone.
-    pub fn worker_is_gone(&self, owner: &str) -> bool {
+    /// Whether the process of a worker is gone; `None` where this folder has never known it, or does not any more.
+    pub fn worker_is_gone(&self, owner: &str) -> Option<bool> {
         match fs::File::open(self.lock_file(owner)) {
-            Ok(file) => file.try_lock().is_ok(),
-            Err(error) => error.kind() == io::ErrorKind::NotFound,
+            Ok(file) => Some(file.try_lock().is_ok()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            Err(_) => Some(false),
         }
     }
 
@@ -111,7 +105,7 @@ impl Files {
             for entry in fs::read_dir(self.root.join(folder)).into_iter().flatten().flatten() {
                 let name = entry.file_name();
                 if let Some(owner) = name.to_str().filter(|n| !n.ends_with(UNLOCKED))
-                    && self.worker_is_gone(owner)
+                    && self.worker_is_gone(owner) != Some(false)
                 {
                     remove_folder(&self.root.join("incoming").join(owner));
                     let _ = fs::remove_file(self.lock_file(owner));
@@ -129,22 +123,6 @@ impl Files {
         self.root.join("incoming").join(&self.owner).join(job)
     }
 
-    /// Takes a complete upload over. All its files have been synced.
-    ///
-    /// # Errors
-    /// `insufficient_storage`, `unavailable`.
-    pub fn accept(&self, job: &str) -> Result<()> {
-        let (from, to) = (self.incoming(job), self.uploads(job));
-        sync_folder(&from).map_err(|e| disk(&from, &e))?;
-        fs::rename(&from, &to).map_err(|e| disk(&to, &e))?;
-        sync_folder(&self.root.join("uploads")).map_err(|e| disk(&to, &e))
-    }
-
-    /// Where the upload of a job lies.
-    pub fn uploads(&self, job: &str) -> PathBuf {
-        self.root.join("uploads").join(job)
-    }
-
     /// Reads an upload, which lies in `folder`: each model with all side files.
     ///
     /// # Errors
@@ -153,11 +131,15 @@ impl Files {
         let read = |stored: &UploadedFile| {
             let path = folder.join(stored.number.to_string());
             let bytes = fs::read(&path).map_err(|e| match e.kind() {
-                io::ErrorKind::NotFound => {
-                    Failure::internal("what was uploaded for this job is gone from the data folder")
-                }
+                io::ErrorKind::NotFound => Failure::internal("what was uploaded for this job is gone from the store"),
                 _ => disk(&path, &e),
             })?;
+            // Uploads of before they had a hash are taken as they are.
+            if !stored.sha256.is_empty() && hex::encode(Sha256::digest(&bytes)) != stored.sha256 {
+                return Err(Failure::internal(
+                    "what was uploaded for this job is damaged: a file does not have its SHA-256",
+                ));
+            }
             Ok(File { path: stored.path.clone(), bytes })
         };
         let side: Vec<File> = manifest.files.iter().map(read).collect::<Result<_>>()?;
@@ -172,67 +154,9 @@ impl Files {
         Ok(models)
     }
 
-    /// Stores the files of a result, whose objects are reserved, by their hashes. When this returns, they survive anything.
-    ///
-    /// # Errors
-    /// `insufficient_storage`, `unavailable`.
-    pub fn store(&self, entries: &[ArtifactEntry], artifacts: &[Artifact]) -> Result<()> {
-        let put = |entry: &ArtifactEntry, artifact: &Artifact| -> io::Result<()> {
-            let object = self.object(&entry.sha256);
-            let folder = object.parent().unwrap_or(&self.root);
-            if fs::metadata(&object).is_ok_and(|m| m.len() == entry.bytes) {
-                return Ok(());
-            }
-            fs::create_dir_all(folder)?;
-            let partial = self.incoming(&format!("{}.object", new_id().map_err(io::Error::other)?));
-            let mut file = fs::File::create_new(&partial)?;
-            file.write_all(&artifact.bytes)?;
-            file.sync_all()?;
-            fs::rename(&partial, &object)?;
-            sync_folder(folder)?;
-            sync_folder(&self.root.join("objects"))
-        };
-        let stored = entries.iter().zip(artifacts).try_for_each(|(entry, artifact)| put(entry, artifact));
-        stored.map_err(|e| disk(&self.root.join("objects"), &e))
-    }
-
-    /// Where an object is.
-    pub fn object(&self, sha256: &str) -> PathBuf {
-        self.root.join("objects").join(sha256.get(..2).unwrap_or("00")).join(sha256)
-    }
-
-    /// Removes an object.
-    pub fn remove_object(&self, sha256: &str) {
-        let path = self.object(sha256);
-        match fs::remove_file(&path) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                tracing::warn!(path = %path.display(), %error, "could not remove an object");
-            }
-            _ => {}
-        }
-    }
-
-    /// The hashes of all objects.
-    pub fn objects(&self) -> Vec<String> {
-        let folders = fs::read_dir(self.root.join("objects")).into_iter().flatten().flatten();
-        let files = folders.flat_map(|folder| fs::read_dir(folder.path()).into_iter().flatten().flatten());
-        files.filter_map(|file| file.file_name().into_string().ok()).collect()
-    }
-
-    /// Removes what was uploaded for a job.
-    pub fn remove_uploads(&self, job: &str) {
+    /// Removes what was received for a job.
+    pub fn remove_incoming(&self, job: &str) {
         remove_folder(&self.incoming(job));
-        remove_folder(&self.uploads(job));
-    }
-
-    /// Names of the jobs that have uploads which nobody touched for `age`.
-    pub fn untouched(&self, age: Duration) -> Vec<String> {
-        let before = SystemTime::now().checked_sub(age).unwrap_or(SystemTime::UNIX_EPOCH);
-        let uploads = fs::read_dir(self.root.join("uploads")).into_iter().flatten().flatten();
-        let old = uploads.filter(|e| e.metadata().and_then(|m| m.modified()).is_ok_and(|m| m < before));
-        let mut jobs: Vec<String> = old.filter_map(|e| e.file_name().into_string().ok()).collect();
-        jobs.sort();
-        jobs
     }
 }
 
@@ -260,7 +184,7 @@ pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
     if cfg!(unix) { fs::File::open(path)?.sync_all() } else { Ok(()) }
 }
 
-fn remove_folder(path: &Path) {
+pub(super) fn remove_folder(path: &Path) {
     match fs::remove_dir_all(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => {
             tracing::warn!(path = %path.display(), %error, "could not remove a folder");
@@ -282,30 +206,20 @@ pub fn disk(path: &Path, error: &io::Error) -> Failure {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use super::*;
 
-    fn artifact(name: &str, bytes: &[u8]) -> Artifact {
-        Artifact { name: name.into(), role: "model".into(), media_type: "text/plain".into(), bytes: bytes.to_vec() }
-    }
-
     #[test]
-    fn results_are_stored_by_their_contents_each_once() {
-        let root = tempfile::tempdir().unwrap();
-        let files = Files::open(root.path()).unwrap();
-        let artifacts = [artifact("a b/c.txt", b"one"), artifact("b.txt", b"two"), artifact("c.txt", b"two")];
-        let entries = entries("j", &artifacts);
-        for _ in 0..2 {
-            files.store(&entries, &artifacts).unwrap();
-        }
-        let hashes: BTreeSet<String> = entries.iter().map(|e| e.sha256.clone()).collect();
-        assert_eq!((files.objects().len(), files.objects().into_iter().collect()), (2, hashes));
-        assert_eq!(fs::read_dir(files.incoming("")).unwrap().count(), 0);
+    fn artifacts_are_named_by_their_contents() {
+        let artifact = |name: &str, bytes: &[u8]| Artifact {
+            name: name.into(),
+            role: "model".into(),
+            media_type: "text/plain".into(),
+            bytes: bytes.to_vec(),
+        };
+        let entries =
+            entries("j", &[artifact("a b/c.txt", b"one"), artifact("b.txt", b"two"), artifact("c.txt", b"two")]);
         assert_eq!((entries[0].href.as_deref(), entries[0].bytes), (Some("/v1/jobs/j/artifacts/a%20b%2Fc.txt"), 3));
-        assert_eq!(fs::read(files.object(&entries[1].sha256)).unwrap(), b"two");
-        files.remove_object(&entries[1].sha256);
-        assert_eq!(files.objects().len(), 1);
+        assert!(entries[1].sha256 == entries[2].sha256 && entries[0].sha256 != entries[1].sha256);
     }
 
     #[test]
@@ -314,34 +228,33 @@ mod tests {
         let (files, other) = (Files::open(root.path()).unwrap(), Files::open(root.path()).unwrap());
         let (left, owner) = (other.incoming("j"), other.owner().to_owned());
         fs::create_dir_all(&left).unwrap();
-        assert!(!files.worker_is_gone(&owner) && files.worker_is_gone("other"));
+        assert_eq!((files.worker_is_gone(&owner), files.worker_is_gone("other")), (Some(false), None));
         files.remove_dead_workers();
         assert!(files.lock_file(&owner).exists() && left.exists());
         drop(other);
-        assert!(files.worker_is_gone(&owner));
+        assert_eq!(files.worker_is_gone(&owner), Some(true));
         files.remove_dead_workers();
         assert!(!files.lock_file(&owner).exists() && !left.exists() && files.incoming("").exists());
     }
 
     #[test]
-    fn uploads_are_whole_or_not_there() {
+    fn uploads_are_read_with_all_their_files_and_checked() {
         let root = tempfile::tempdir().unwrap();
-        let files = Files::open(root.path()).unwrap();
-        let stored = |path: &str, number| UploadedFile { path: path.into(), number, sha256: String::new() };
-        let manifest =
-            Manifest { models: vec![stored("a.glb", 0), stored("b.glb", 1)], files: vec![stored("t.png", 2)] };
-        fs::create_dir_all(files.incoming("j")).unwrap();
+        let stored =
+            |path: &str, number, sha256: &str| UploadedFile { path: path.into(), number, sha256: sha256.into() };
+        let hash = hex::encode(Sha256::digest([0]));
+        let models = vec![stored("a.glb", 0, &hash), stored("b.glb", 1, "")];
+        let manifest = Manifest { models, files: vec![stored("t.png", 2, "")] };
+        assert!(Files::load(root.path(), &manifest).is_err());
         for n in 0..3 {
-            fs::write(files.incoming("j").join(n.to_string()), [n]).unwrap();
+            fs::write(root.path().join(n.to_string()), [n]).unwrap();
         }
-        assert!(Files::load(&files.uploads("j"), &manifest).is_err());
-        files.accept("j").unwrap();
-        let models = Files::load(&files.uploads("j"), &manifest).unwrap();
+        let models = Files::load(root.path(), &manifest).unwrap();
         let seen: Vec<Vec<(&str, u8)>> =
             models.iter().map(|m| m.iter().map(|f| (f.path.as_str(), f.bytes[0])).collect()).collect();
         assert_eq!(seen, [[("a.glb", 0), ("t.png", 2)], [("b.glb", 1), ("t.png", 2)]]);
-        assert_eq!(files.untouched(Duration::ZERO), ["j"]);
-        files.remove_uploads("j");
-        assert!(files.untouched(Duration::ZERO).is_empty());
+        fs::write(root.path().join("0"), [7]).unwrap();
+        let failure = Files::load(root.path(), &manifest).unwrap_err();
+        assert!(failure.code == Code::Internal && failure.message.contains("damaged"), "{failure}");
     }
 }

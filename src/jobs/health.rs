@@ -59,6 +59,7 @@ impl Jobs {
         let (files, min_free) = (self.files.clone(), self.min_free);
         let probed = tokio::task::spawn_blocking(move || files.probe(min_free)).await;
         probed.map_err(|e| Failure::internal(format!("the data folder cannot be looked at: {e}")))??;
+        self.store.check(deep).await?;
         self.queue.check(deep).await
     }
 }

@@ -16,15 +16,19 @@ pub mod queue;
 pub mod record;
 pub mod resumable;
 pub mod slots;
-mod storage;
+mod space;
+pub mod store;
 mod stored_options;
 mod system;
 pub mod telemetry;
+#[cfg(test)]
+mod testing;
 pub mod trace;
 pub mod webhooks;
 mod worker;
 
 use std::io::Read;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -43,11 +47,12 @@ use files::Files;
 use health::Health;
 use hub::Hub;
 use keys::KeyStore;
-use queue::sqlite::Sqlite;
-use queue::{CancelReply, NewJob, Queue, Submitted};
+use queue::open::Opened;
+use queue::{CancelReply, Hint, NewJob, Queue, Submitted};
 use record::{ArtifactEntry, Job, JobState};
-use resumable::{FolderPieces, Resumable};
+use resumable::Resumable;
 use slots::{SMALL, Slots};
+use store::{Parts, Store};
 use webhooks::Deliverer;
 
 /// How often a job that this process does not run is polled.
@@ -97,6 +102,8 @@ pub struct Jobs {
     pub resumable: Arc<Resumable>,
     /// The data folder.
     pub files: Files,
+    /// Where uploads wait and results are kept.
+    pub store: Arc<dyn Store>,
     /// What is known between two writes.
     pub hub: Hub,
     /// What is refused, and what is kept how long.
@@ -119,11 +126,11 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    /// Opens the data folder and takes back what dead processes left running.
+    /// Opens data folder, store and queue, and takes back what dead processes left running.
     ///
     /// # Errors
-    /// `insufficient_storage`, `unavailable`: the disk or the queue's file; `internal`: threads that cannot be had; `invalid_options`: a
-    /// secret of webhooks that is none.
+    /// `insufficient_storage`, `unavailable`: the disk, the queue or the store; `internal`: threads that cannot be had; `invalid_request`: an
+    /// address that is none; `invalid_options`: a secret of webhooks that is none.
     pub async fn open(
         data: &Path,
         work: &Work,
@@ -132,21 +139,22 @@ impl Jobs {
         webhooks: &Webhooks,
     ) -> Result<Arc<Self>> {
         let files = Files::open(data)?;
-        let fresh = !files.queue().exists();
-        let queue = Sqlite::open(&files.queue()).await?;
-        let identity = queue.identity().await?;
-        let owned = files.own(&identity, fresh, storage.adopt_store)?;
-        tracing::info!(store = identity, "the job queue is open");
+        let store = store::open(storage.store.as_deref(), &files, storage.min_free).await?;
         let slots = Slots::new(usize::from(work.jobs), work.threads, work.memory())?;
-        let queue = Arc::new(if slots.count() > 1 { queue.with_small(SMALL) } else { queue });
-        let pieces = Arc::new(FolderPieces::new(data.join("pieces")));
+        let small = (slots.count() > 1).then_some(SMALL);
+        let Opened { queue, keys, webhooks: outbox, batches, uploads, fresh } =
+            queue::open::open(&storage.queue, data, small).await?;
+        let identity = queue.identity().await?;
+        let owned = store::ownership::own(&*store, &identity, fresh, storage.adopt_store).await?;
+        tracing::info!(queue = identity, store = store.name(), shared = queue.is_shared(), "the job queue is open");
         let jobs = Jobs {
-            queue: queue.clone(),
-            keys: queue.clone(),
-            batches: queue.clone(),
-            resumable: Arc::new(Resumable::new(queue.clone(), pieces, limits.keep_uploads)),
-            webhooks: Arc::new(Deliverer::new(queue, webhooks)?),
+            queue,
+            keys,
+            batches,
+            resumable: Arc::new(Resumable::new(uploads, store.pieces(), limits.keep_uploads)),
+            webhooks: Arc::new(Deliverer::new(outbox, webhooks)?),
             files,
+            store,
             hub: Hub::default(),
             limits,
             shutdown: CancellationToken::new(),
@@ -177,9 +185,7 @@ impl Jobs {
     pub async fn submit(&self, job: &NewJob) -> Result<(Job, Taken)> {
         let id = &job.id;
         let stored = async {
-            let (files, id) = (self.files.clone(), id.clone());
-            let accepted = tokio::task::spawn_blocking(move || files.accept(&id)).await;
-            accepted.map_err(|e| Failure::internal(format!("the upload was lost: {e}")))??;
+            self.store.accept(id, &self.files.incoming(id), &job.inputs).await?;
             // Known before a worker can claim it, so that nobody who follows it misses its start.
             self.hub.queued(&job.id);
             self.queue.submit(job, self.limits.max_queued).await
@@ -195,17 +201,21 @@ impl Jobs {
                 tracing::info!(job = %id, request = job.request, "job has the result of an equal one");
                 self.telemetry.reused.inc();
                 self.hub.ended(id, JobState::Succeeded);
-                self.files.remove_uploads(id);
+                self.remove_upload(id).await;
                 Ok((self.get(id).await?, Taken::Reused))
             }
             Ok(Submitted::Known(known)) => {
                 self.hub.ended(id, JobState::Canceled);
-                self.files.remove_uploads(id);
+                self.remove_upload(id).await;
                 Ok((self.get(&known).await?, Taken::Known))
             }
             Err(failure) => {
                 self.hub.ended(id, JobState::Canceled);
-                self.files.remove_uploads(id);
+                self.files.remove_incoming(id);
+                // Where the answer of a distant queue was lost, the job may be stored: maintenance looks, later.
+                if !(self.queue.is_shared() && failure.is_of_the_machine()) {
+                    self.remove_upload(id).await;
+                }
                 Err(failure)
             }
         }
@@ -226,6 +236,10 @@ impl Jobs {
             job.progress = live.status.progress;
             job.stages = live.status.stages;
             job.warnings = live.status.warnings;
+        }
+        if job.state.is_final() {
+            // It may have ended elsewhere.
+            self.hub.ended(id, job.state);
         }
         Ok(job)
     }
@@ -276,8 +290,7 @@ impl Jobs {
     /// # Errors
     /// `internal`.
     pub async fn waiting(&self) -> Result<u64> {
-        let counts = self.queue.counts().await?;
-        Ok(counts.iter().find(|c| c.0 == JobState::Queued).map_or(0, |c| c.1))
+        self.queue.waiting().await
     }
 
     /// Cancels a job: at once when it waits, as soon as it checks when it runs.
@@ -291,7 +304,7 @@ impl Jobs {
             CancelReply::Asked => self.hub.cancel(id),
             CancelReply::AtOnce => {
                 self.hub.ended(id, JobState::Canceled);
-                self.files.remove_uploads(id);
+                self.remove_upload(id).await;
             }
         }
         self.get(id).await
@@ -307,23 +320,60 @@ impl Jobs {
         }
         self.hub.cancel(id);
         self.hub.ended(id, JobState::Canceled);
-        self.files.remove_uploads(id);
+        self.remove_upload(id).await;
         self.collect(Some(id), false).await
     }
 
-    /// An artifact and where its file is.
+    /// What an artifact of a job is.
     ///
     /// # Errors
     /// `not_found`, `gone`, `internal`.
-    pub async fn artifact(&self, id: &str, name: &str) -> Result<(ArtifactEntry, std::path::PathBuf)> {
+    pub async fn artifact(&self, id: &str, name: &str) -> Result<ArtifactEntry> {
         let job = self.queue.get(id).await?.ok_or_else(|| unknown(id))?;
-        let found = job.artifacts.into_iter().find(|e| e.name == name).map(|e| (self.files.object(&e.sha256), e));
-        match found {
+        match job.artifacts.into_iter().find(|e| e.name == name) {
             None => Err(Failure::new(Code::NotFound, format!("the job has no artifact `{name}`"))),
-            Some((_, entry)) if entry.expired => {
+            Some(entry) if entry.expired => {
                 Err(Failure::new(Code::Gone, "the artifacts of this job have been removed"))
             }
-            Some((path, entry)) => Ok((entry, path)),
+            Some(entry) => Ok(entry),
+        }
+    }
+
+    /// The bytes of an artifact in that range. Where it is all of them, they are held against their hash.
+    ///
+    /// # Errors
+    /// `gone`, `unavailable`, `internal`.
+    pub async fn bytes(&self, entry: &ArtifactEntry, range: Range<u64>) -> Result<Parts> {
+        let whole = range == (0..entry.bytes);
+        let parts = self.store.get(&self.queue.place(&entry.sha256).await?, range).await?;
+        Ok(if whole { store::verified(parts, entry.sha256.clone()) } else { parts })
+    }
+
+    /// Removes what was uploaded for a job. What stays is removed by maintenance.
+    async fn remove_upload(&self, job: &str) {
+        self.files.remove_incoming(job);
+        if let Err(failure) = self.store.remove_upload(job).await {
+            tracing::warn!(job, %failure, "the upload of a job stays for now");
+        }
+    }
+
+    /// Passes on what other processes tell, until the service shuts down.
+    pub async fn listen(self: Arc<Self>) {
+        loop {
+            let hint = tokio::select! {
+                hint = self.queue.hint() => hint,
+                () = self.shutdown.cancelled() => break,
+            };
+            match hint {
+                Hint::Queued => self.wake.notify_one(),
+                // Whoever follows it here learns of its end at once.
+                Hint::Changed(job) if self.hub.follow(&job).is_some() => match self.queue.get(&job).await {
+                    Ok(Some(found)) if found.state.is_final() => self.hub.ended(&job, found.state),
+                    Ok(None) => self.hub.ended(&job, JobState::Canceled),
+                    _ => {}
+                },
+                Hint::Changed(_) => {}
+            }
         }
     }
 }

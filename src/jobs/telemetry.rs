@@ -134,7 +134,8 @@ impl Telemetry {
         self.response_seconds.with_label_values(&[method, route]).observe(took.as_secs_f64());
     }
 
-    /// The text that Prometheus reads, with how the queue and the slots are now; `since` is when the oldest job began to wait.
+    /// The text that Prometheus reads, with how the queue and the slots are now; `since` is when the oldest job began to wait, by
+    /// the clock by which it is `now`.
     ///
     /// # Errors
     /// `internal`.
@@ -142,9 +143,10 @@ impl Telemetry {
         &self,
         counts: &[(JobState, u64)],
         since: Option<Timestamp>,
+        now: Timestamp,
         (slots, memory): (usize, u64),
     ) -> Result<String> {
-        let age = since.map_or(0, |since| (Timestamp::now().0 - since.0).max(0));
+        let age = since.map_or(0, |since| (now.0 - since.0).max(0));
         self.oldest.set(age as f64 / 1000.0);
         let whole = |n: u64| i64::try_from(n).unwrap_or(i64::MAX);
         for state in JobState::ALL {

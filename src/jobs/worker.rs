@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use axum::body::Bytes;
 use futures_util::future::BoxFuture;
+use futures_util::stream::{StreamExt, TryStreamExt, iter};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tokio::runtime::Handle;
@@ -39,6 +41,8 @@ const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(5);
 const SWEEP_EVERY: u32 = 720;
 /// Work that was told to stop and has not by then is left to itself: its result will not count.
 const ABANDON_AFTER: Duration = Duration::from_millis(500);
+/// Files of a result that are stored at the same time.
+const PUTS_AT_ONCE: usize = 4;
 /// How long to wait before the first tries to do again what the machine does not let be done, and before all later ones.
 const BACKOFF: [Duration; 3] = [Duration::from_millis(200), Duration::from_millis(500), Duration::from_secs(1)];
 const LONGEST_WAIT: Duration = Duration::from_secs(2);
@@ -227,7 +231,7 @@ impl Jobs {
             Some(state) => {
                 tracing::error!(state = state.as_str(), "job ends: its process died again");
                 self.hub.ended(&claim.id, state);
-                self.files.remove_uploads(&claim.id);
+                self.remove_upload(&claim.id).await;
             }
             None => {}
         }
@@ -280,11 +284,12 @@ impl Jobs {
             self.telemetry.record_attempt(&end, started.elapsed());
             self.took(started.elapsed().as_secs_f64());
             self.hub.ended(&claim.id, end.state);
-            self.files.remove_uploads(&claim.id);
+            self.remove_upload(&claim.id).await;
         } else {
             tracing::warn!("the job was taken from this worker; its result does not count");
-            if matches!(self.queue.get(&claim.id).await, Ok(None)) {
-                self.files.remove_uploads(&claim.id);
+            // It was deleted, or it had ended and the answer was lost.
+            if matches!(self.queue.needs_upload(&claim.id).await, Ok(false)) {
+                self.remove_upload(&claim.id).await;
             }
         }
         if (end.artifacts.is_empty() || !published)
@@ -353,12 +358,17 @@ fn attempt_end(reporter: &Reporter, computation: Computation) -> AttemptEnd {
 /// The synchronous part, on the rayon pool: here, or in a process of its own.
 fn compute(jobs: &Jobs, claim: &Claim, reporter: &Arc<Reporter>, runtime: &Handle) -> Attempt {
     let limits = (&jobs.limits).into();
-    let uploads = jobs.files.uploads(&claim.id);
+    let brought = jobs.files.incoming(&format!("{}.{}.upload", claim.id, claim.attempt));
+    let fetch = || runtime.block_on(jobs.store.fetch(&claim.id, &claim.inputs, &brought));
+    let upload = match patiently(reporter, fetch) {
+        Ok(upload) => upload,
+        Err(failure) => return Attempt::failed(failure),
+    };
     let computed = if claim.suspect {
         let request = apart::Request {
             options: claim.options.clone(),
             inputs: claim.inputs.clone(),
-            uploads,
+            uploads: upload.folder().to_owned(),
             results: jobs.files.incoming(&format!("{}.{}", claim.id, claim.attempt)),
             limits,
             threads: jobs.slots.threads(),
@@ -369,12 +379,18 @@ fn compute(jobs: &Jobs, claim: &Claim, reporter: &Arc<Reporter>, runtime: &Handl
             Err(failure) => Computed::failed(failure),
         }
     } else {
-        let load = || patiently(reporter, || Files::load(&uploads, &claim.inputs));
+        let load = || patiently(reporter, || Files::load(upload.folder(), &claim.inputs));
         refine(&claim.options, load, limits, reporter.clone(), reporter.stop.flag.clone())
     };
+    drop(upload);
     let Computed { result, warnings, timings } = computed;
     let stored = result.and_then(|finished| {
-        finished.with(|artifacts| patiently(reporter, || store(jobs, claim, &artifacts, runtime)))
+        finished.with(|artifacts| {
+            let entries = files::entries(&claim.id, &artifacts);
+            let bytes: Vec<Bytes> = artifacts.into_iter().map(|artifact| artifact.bytes.into()).collect();
+            patiently(reporter, || runtime.block_on(store(jobs, claim, &entries, &bytes)))?;
+            Ok(entries)
+        })
     });
     Attempt::Ended(Computation { result: stored, warnings: Some(warnings), timings })
 }
@@ -404,14 +420,13 @@ pub(super) fn refine(
 }
 
 /// Stores the files of a result, so that they can be published.
-fn store(jobs: &Jobs, claim: &Claim, artifacts: &[Artifact], runtime: &Handle) -> Result<Vec<ArtifactEntry>> {
-    let entries = files::entries(&claim.id, artifacts);
+async fn store(jobs: &Jobs, claim: &Claim, entries: &[ArtifactEntry], bytes: &[Bytes]) -> Result<()> {
     let objects: Vec<String> = entries.iter().map(|e| e.sha256.clone()).collect();
-    if !runtime.block_on(jobs.queue.reserve(claim, &objects))? {
+    let Some(places) = jobs.queue.reserve(claim, &objects).await? else {
         return Err(Failure::new(Code::Canceled, "the job was taken from this worker"));
-    }
-    jobs.files.store(&entries, artifacts)?;
-    Ok(entries)
+    };
+    let puts = places.iter().zip(bytes).map(|(place, bytes)| jobs.store.put(place, bytes.clone()));
+    iter(puts).map(Ok).try_for_each_concurrent(PUTS_AT_ONCE, |put| put).await
 }
 
 /// Does a step again and again while the machine is in trouble, until it is told to stop: the job waits, and its user sees why.

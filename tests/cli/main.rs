@@ -217,3 +217,37 @@ fn every_recipe_is_named_in_the_help_and_in_the_readme() {
         assert!(readme.contains(&format!("| `{name}` |")), "{name} is not in the table of recipes");
     }
 }
+
+#[test]
+fn an_address_of_the_queue_is_never_repeated() {
+    let folder = tempfile::tempdir().unwrap();
+    let secret = "hunter2";
+    for (address, says) in [
+        (format!("mysql://me:{secret}@127.0.0.1/x"), "neither `sqlite` nor `postgres://"),
+        (format!("postgres://me:{secret}@127.0.0.1:1/x"), "cannot be reached"),
+        (format!("postgres://me:{secret}@127.0.0.1:port/x"), "no URL of PostgreSQL"),
+    ] {
+        let flags: [&[&str]; 3] = [
+            &["serve", "--listen", "127.0.0.1:0", "--queue", &address],
+            &["keys", "list", "--queue", &address],
+            &["serve", "--log-level", "trace", "--listen", "127.0.0.1:0", "--queue", &address],
+        ];
+        for flags in flags {
+            let (code, out, errors) = intarsia(folder.path(), flags);
+            assert!(code != 0 && errors.contains(says), "{errors}");
+            assert!(!out.contains(secret) && !errors.contains(secret), "{out}{errors}");
+        }
+    }
+    for command in ["serve", "keys"] {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_intarsia"));
+        let help = program
+            .args([command, "--help"])
+            .env("INTARSIA_QUEUE", format!("postgres://me:{secret}@x/y"))
+            .output()
+            .unwrap();
+        let help = String::from_utf8(help.stdout).unwrap();
+        assert!(help.contains("INTARSIA_QUEUE") && !help.contains(secret), "{help}");
+    }
+    let (code, _, errors) = intarsia(folder.path(), &["serve", "--listen", "127.0.0.1:0", "--store", "ftp://x"]);
+    assert!(code == 2 && errors.contains("s3://BUCKET/PREFIX"), "{code}: {errors}");
+}

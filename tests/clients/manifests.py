@@ -15,8 +15,6 @@ DOCKER = ROOT / "docker"
 HELP = subprocess.run([program, "serve", "--help"], capture_output=True, text=True, check=True).stdout
 FLAGS = set(re.findall(r"--[a-z-]+", HELP))
 VARIABLES = set(re.findall(r"INTARSIA_[A-Z_]+", HELP))
-# They come with the queue and the store for many machines.
-VARIABLES |= {"INTARSIA_QUEUE", "INTARSIA_STORE"}
 METRICS = set(re.findall(r"^# TYPE (\S+)", httpx.get(f"{base}/metrics").text, re.M))
 SECRET = re.compile(r"PASSWORD|SECRET|ACCESS_KEY_ID|QUEUE")
 

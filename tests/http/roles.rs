@@ -38,3 +38,34 @@ fn a_worker_that_is_started_as_needed_ends_when_nothing_waits() {
     }
     assert_eq!(header(&api.get("/healthz", &[]), "content-type"), "application/json");
 }
+
+#[test]
+fn uploads_and_results_may_be_kept_elsewhere() {
+    let (data, kept) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let store = kept.path().join("store");
+    let flags = ["--store", store.to_str().unwrap()];
+    let server = Server::start(data.path(), &flags);
+    let job = server.wait(&server.accepted(&Form::sample()));
+    assert_eq!(job["state"], "succeeded");
+    let href = job["artifacts"][0]["href"].as_str().unwrap();
+    let whole = bytes(&mut server.get(href, &[]));
+    assert_eq!(whole.len() as u64, job["artifacts"][0]["bytes"].as_u64().unwrap());
+    assert_eq!(bytes(&mut server.get(href, &[("range", "bytes=3-9")])), whole[3..10]);
+    assert!(store.join("objects").is_dir() && store.join("identity").is_file());
+    assert!(!data.path().join("objects").exists() && !data.path().join("uploads").exists());
+    drop(server);
+
+    // What is damaged is never given as a whole.
+    let sha256 = job["artifacts"][0]["sha256"].as_str().unwrap();
+    let object = store.join("objects").join(&sha256[..2]).join(sha256);
+    let mut damaged = whole.clone();
+    damaged[0] ^= 1;
+    std::fs::write(&object, damaged).unwrap();
+    let server = Server::start(data.path(), &flags);
+    assert!(server.get(href, &[]).body_mut().read_to_vec().is_err());
+    assert_eq!(
+        server.delete(job["artifacts"][0]["href"].as_str().unwrap().split("/artifacts").next().unwrap()).status(),
+        204
+    );
+    assert!(!object.exists());
+}

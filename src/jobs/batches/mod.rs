@@ -260,16 +260,16 @@ impl Jobs {
     pub async fn submit_batch(&self, batch: NewBatch) -> Result<(Batch, bool)> {
         let ids: Vec<String> = batch.jobs.iter().map(|job| job.id.clone()).collect();
         let stored = async {
-            let (files, ids) = (self.files.clone(), ids.clone());
-            let accepted = tokio::task::spawn_blocking(move || ids.iter().try_for_each(|id| files.accept(id))).await;
-            accepted.map_err(|e| Failure::internal(format!("the uploads were lost: {e}")))??;
+            for job in &batch.jobs {
+                self.store.accept(&job.id, &self.files.incoming(&job.id), &job.inputs).await?;
+            }
             // Known before a worker can claim them, so that nobody who follows one misses its start.
             batch.jobs.iter().for_each(|job| self.hub.queued(&job.id));
             self.batches.submit_batch(&batch, self.limits.max_queued).await
         };
-        let forget = |id: &String, state: JobState| {
+        let forget = async |id: &str, state: JobState| {
             self.hub.ended(id, state);
-            self.files.remove_uploads(id);
+            self.remove_upload(id).await;
         };
         match stored.await {
             Ok(BatchSubmitted::New(submitted)) => {
@@ -278,9 +278,9 @@ impl Jobs {
                         Submitted::New => {}
                         Submitted::Reused => {
                             self.telemetry.reused.inc();
-                            forget(id, JobState::Succeeded);
+                            forget(id, JobState::Succeeded).await;
                         }
-                        Submitted::Known(_) => forget(id, JobState::Canceled),
+                        Submitted::Known(_) => forget(id, JobState::Canceled).await,
                     }
                 }
                 tracing::info!(batch = batch.id, jobs = ids.len(), "a batch is queued");
@@ -288,11 +288,21 @@ impl Jobs {
                 Ok((self.batch(&batch.id).await?, false))
             }
             Ok(BatchSubmitted::Known(known)) => {
-                ids.iter().for_each(|id| forget(id, JobState::Canceled));
+                for id in &ids {
+                    forget(id, JobState::Canceled).await;
+                }
                 Ok((self.batch(&known).await?, true))
             }
             Err(failure) => {
-                ids.iter().for_each(|id| forget(id, JobState::Canceled));
+                // Where the answer of a distant queue was lost, the jobs may be stored: maintenance looks, later.
+                let unsure = self.queue.is_shared() && failure.is_of_the_machine();
+                for id in &ids {
+                    self.hub.ended(id, JobState::Canceled);
+                    self.files.remove_incoming(id);
+                    if !unsure {
+                        self.remove_upload(id).await;
+                    }
+                }
                 Err(failure)
             }
         }

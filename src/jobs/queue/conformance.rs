@@ -7,7 +7,17 @@ use serde_json::json;
 use super::*;
 
 const LEASE: Duration = Duration::from_secs(60);
+/// The name of no object may be removed.
 const UNEXPECTED: Remove<'static> = &|object| panic!("{object} is still needed");
+
+/// Notes what is removed, by its hash.
+fn noting(removed: &Mutex<Vec<String>>) -> impl Fn(&str) -> BoxFuture<'static, bool> + Send + Sync {
+    |place| {
+        let object = place.split('.').next().unwrap_or_default();
+        removed.lock().unwrap().push(object.to_owned());
+        Box::pin(std::future::ready(true))
+    }
+}
 
 /// Runs all checks, each on a fresh queue.
 pub(in crate::jobs) async fn suite<Q: Queue + 'static>(mut make: impl AsyncFnMut() -> Q) {
@@ -17,7 +27,6 @@ pub(in crate::jobs) async fn suite<Q: Queue + 'static>(mut make: impl AsyncFnMut
     a_silent_worker_loses_its_job_which_waits_behind_the_others_as_a_suspect(&make().await).await;
     a_job_whose_own_process_dies_is_given_up_at_the_second_time(&make().await).await;
     bytes_are_counted_while_they_are_stored(&make().await).await;
-    a_copy_holds_all_and_nothing_changes_while_it_is_made(&make().await).await;
     cancelling_waits_for_nobody_and_wins_over_a_late_result(&make().await).await;
     a_full_queue_takes_no_more_and_old_jobs_expire(&make().await).await;
     a_key_names_one_request(&make().await).await;
@@ -99,7 +108,7 @@ async fn a_worker_that_lost_its_job_changes_nothing(queue: &impl Queue) {
     assert_eq!((stale.attempt, fresh.attempt), (1, 2));
     let now = AttemptStatus::default();
     assert_eq!(queue.heartbeat(&stale, LEASE, &now).await, Ok(HeartbeatReply::Lost));
-    assert_eq!(queue.reserve(&stale, &["x".into()]).await, Ok(false));
+    assert_eq!(queue.reserve(&stale, &["x".into()]).await, Ok(None));
     assert_eq!(queue.finish(&stale, &ended(JobState::Succeeded), LEASE).await, Ok(false));
     assert_eq!(queue.release(&stale, &Progress::default()).await, Ok(false));
     assert_eq!(queue.heartbeat(&fresh, LEASE, &now).await, Ok(HeartbeatReply::Held));
@@ -173,20 +182,6 @@ async fn bytes_are_counted_while_they_are_stored(queue: &impl Queue) {
     assert_eq!(queue.stored_bytes(None).await, Ok(StoredBytes { uploads: 10, artifacts: 0 }));
 }
 
-async fn a_copy_holds_all_and_nothing_changes_while_it_is_made(queue: &impl Queue) {
-    submit(queue, "j").await;
-    let folder = tempfile::tempdir().unwrap();
-    let ran = Mutex::new(false);
-    let meanwhile = || {
-        *ran.lock().unwrap() = true;
-        Ok(())
-    };
-    queue.copy(&folder.path().join("copy"), &meanwhile).await.unwrap();
-    assert!(*ran.lock().unwrap() && folder.path().join("copy").exists());
-    assert_eq!(queue.check(true).await, Ok(()));
-    assert!(claim(queue, "w").await.is_some(), "it goes on");
-}
-
 async fn cancelling_waits_for_nobody_and_wins_over_a_late_result(queue: &impl Queue) {
     submit(queue, "runs").await;
     submit(queue, "waits").await;
@@ -197,7 +192,7 @@ async fn cancelling_waits_for_nobody_and_wins_over_a_late_result(queue: &impl Qu
     assert_eq!(queue.cancel("none").await, Ok(CancelReply::Unknown));
     assert_eq!(queue.cancel("runs").await, Ok(CancelReply::Asked));
     assert_eq!(queue.heartbeat(&claim, LEASE, &AttemptStatus::default()).await, Ok(HeartbeatReply::Cancel));
-    assert_eq!(queue.reserve(&claim, &["x".into()]).await, Ok(false));
+    assert_eq!(queue.reserve(&claim, &["x".into()]).await, Ok(None));
     assert_eq!(queue.finish(&claim, &ended(JobState::Succeeded), LEASE).await, Ok(false));
     assert_eq!(queue.finish(&claim, &ended(JobState::Canceled), LEASE).await, Ok(true));
 }
@@ -267,27 +262,30 @@ async fn objects_live_as_long_as_somebody_needs_them(queue: &impl Queue) {
         submit(queue, id).await;
     }
     let removed = Mutex::new(Vec::new());
-    let remove = |object: &str| removed.lock().unwrap().push(object.to_owned());
+    let remove = noting(&removed);
     let first = claim(queue, "w").await.unwrap();
     let second = claim(queue, "w").await.unwrap();
-    assert_eq!(queue.reserve(&first, &["1".into(), "2".into()]).await, Ok(true));
-    assert_eq!(queue.reserve(&second, &["2".into()]).await, Ok(true));
+    let places = queue.reserve(&first, &["2".into(), "1".into(), "2".into()]).await.unwrap().unwrap();
+    let [two, one, again] = &places[..] else { panic!("{places:?}") };
+    assert!(two.starts_with('2') && one.starts_with('1') && again == two, "{places:?}");
+    assert_eq!(queue.place("2").await.as_ref(), Ok(two));
+    assert_eq!(queue.reserve(&second, &["2".into()]).await, Ok(Some(vec![two.clone()])), "both have the same");
     // While attempts run, nothing goes but what nobody asked for.
-    queue.collect(None, &["1".into()], UNEXPECTED).await.unwrap();
-    queue.collect(None, &["3".into()], &remove).await.unwrap();
+    queue.collect(None, std::slice::from_ref(one), Duration::ZERO, UNEXPECTED).await.unwrap();
+    queue.collect(None, &["3".into()], Duration::ZERO, &remove).await.unwrap();
     assert_eq!(std::mem::take(&mut *removed.lock().unwrap()), ["3"]);
     let outcome = Some(RefinementOutcome::PartlyRefined);
     let end = AttemptEnd { outcome, artifacts: vec![entry("2")], ..ended(JobState::Succeeded) };
     assert_eq!(queue.finish(&second, &end, Duration::ZERO).await, Ok(true));
-    queue.collect(None, &[], UNEXPECTED).await.unwrap();
+    queue.collect(None, &[], Duration::ZERO, UNEXPECTED).await.unwrap();
     // An attempt that died leaves what others need.
     assert_eq!(queue.recover(Some("w"), "me").await.unwrap(), [("a".to_owned(), JobState::Queued)]);
-    queue.collect(Some("a"), &[], &remove).await.unwrap();
+    queue.collect(Some("a"), &[], Duration::ZERO, &remove).await.unwrap();
     assert_eq!(std::mem::take(&mut *removed.lock().unwrap()), ["1"]);
     // A result goes when it expires.
     assert_eq!(queue.get("b").await.unwrap().unwrap().outcome, Some(RefinementOutcome::PartlyRefined));
     assert_eq!(queue.expire_artifacts().await, Ok(vec!["b".to_owned()]));
-    queue.collect(None, &[], &remove).await.unwrap();
+    queue.collect(None, &[], Duration::ZERO, &remove).await.unwrap();
     assert_eq!(*removed.lock().unwrap(), ["2"]);
 }
 
@@ -329,7 +327,7 @@ async fn an_equal_job_has_the_result_of_the_first(queue: &impl Queue) {
     let equal =
         |tenant: &str, id: &str, key: &str| NewJob { result_key: Some(key.into()), keep: LEASE, ..of(tenant, id, 1) };
     let (removed, none) = (Mutex::new(Vec::new()), Vec::<String>::new());
-    let remove = |object: &str| removed.lock().unwrap().push(object.to_owned());
+    let remove = noting(&removed);
     assert_eq!(queue.submit(&equal("a", "first", "k"), 9).await, Ok(Submitted::New));
     assert_eq!(queue.submit(&equal("a", "early", "k"), 9).await, Ok(Submitted::New), "there is no result yet");
     let first = claim(queue, "w").await.unwrap();
@@ -354,12 +352,12 @@ async fn an_equal_job_has_the_result_of_the_first(queue: &impl Queue) {
     assert_eq!(second.progress.fraction, 1.0);
     // What both have stays until neither is there.
     assert_eq!(queue.delete("first").await, Ok(true));
-    queue.collect(None, &[], UNEXPECTED).await.unwrap();
+    queue.collect(None, &[], Duration::ZERO, UNEXPECTED).await.unwrap();
     assert_eq!(queue.submit(&equal("a", "fifth", "k"), 9).await, Ok(Submitted::Reused), "of the second");
     for id in ["second", "fifth"] {
         assert_eq!(*removed.lock().unwrap(), none);
         assert_eq!(queue.delete(id).await, Ok(true));
-        queue.collect(None, &[], &remove).await.unwrap();
+        queue.collect(None, &[], Duration::ZERO, &remove).await.unwrap();
     }
     assert_eq!(*removed.lock().unwrap(), ["1"]);
     assert_eq!(queue.submit(&equal("a", "sixth", "k"), 9).await, Ok(Submitted::New), "there is none any more");

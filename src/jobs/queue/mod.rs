@@ -4,16 +4,29 @@
 //! token): a worker that lost its job can change nothing. A lease says how long a silent worker is believed to be alive. All backends
 //! pass one suite ([`conformance`]).
 
+mod batch_store;
 #[cfg(test)]
 pub(super) mod conformance;
+mod failure;
+mod key_store;
+pub mod open;
+pub mod postgres;
+mod rows;
+mod schema;
 pub mod sqlite;
+mod upload_store;
+mod webhook_store;
 
-use std::path::Path;
 use std::time::Duration;
 
 use async_trait::async_trait;
+use futures_util::future::BoxFuture;
 use serde_json::Value;
 
+use self::batch_store::batch_store;
+use self::key_store::key_store;
+use self::upload_store::upload_store;
+use self::webhook_store::webhook_store;
 use super::files::Manifest;
 use super::record::{ArtifactEntry, Job, JobError, JobState, Timestamp};
 use crate::context::{Progress, Timing};
@@ -35,6 +48,19 @@ pub trait Queue: Send + Sync {
     /// What tells this store from all others, for as long as it lives: 128 random bits in hexadecimal digits.
     async fn identity(&self) -> Result<String>;
 
+    /// The time by which the queue goes.
+    async fn now(&self) -> Result<Timestamp>;
+
+    /// Whether workers on other machines may take from it: what this machine knows of who lives is then not all.
+    fn is_shared(&self) -> bool {
+        false
+    }
+
+    /// Returns when another process says that something has changed. It is a hint: what counts is what the queue holds.
+    async fn hint(&self) -> Hint {
+        std::future::pending().await
+    }
+
     /// Stores a new job, unless `most` jobs wait (`queue_full`), its tenant has as many waiting as it may (`quota_exceeded`), or its key is
     /// known to its tenant: then nothing is stored, and the job of the key is named (`idempotency_mismatch` when that was another request).
     /// When this returns, the job survives anything. Where a job of the same result key has a result, the new one has it too, and has ended.
@@ -52,6 +78,9 @@ pub trait Queue: Send + Sync {
     /// Number of jobs by state; states without a job may be left out.
     async fn counts(&self) -> Result<Vec<(JobState, u64)>>;
 
+    /// Number of jobs that wait.
+    async fn waiting(&self) -> Result<u64>;
+
     /// Since when the job waits that has waited longest.
     async fn waits_since(&self) -> Result<Option<Timestamp>>;
 
@@ -63,9 +92,12 @@ pub trait Queue: Send + Sync {
     /// Renews the lease and notes how far the job is.
     async fn heartbeat(&self, claim: &Claim, lease: Duration, status: &AttemptStatus) -> Result<HeartbeatReply>;
 
-    /// Notes that the attempt is about to store objects with these hashes, so that nobody removes them. False when the job is not the
-    /// worker's any more.
-    async fn reserve(&self, claim: &Claim, objects: &[String]) -> Result<bool>;
+    /// Notes that the attempt is about to store objects with these hashes, so that nobody removes them, and says under which names. `None`
+    /// when the job is not the worker's any more.
+    async fn reserve(&self, claim: &Claim, objects: &[String]) -> Result<Option<Vec<String>>>;
+
+    /// The name under which the object with this hash is stored.
+    async fn place(&self, sha256: &str) -> Result<String>;
 
     /// Publishes how an attempt ended, in one step. False when the job is not the worker's any more, or when its user cancelled it and
     /// `end` is no cancellation.
@@ -96,9 +128,6 @@ pub trait Queue: Send + Sync {
     /// Whether the queue is where and what it was, and can be read and written; `deep` reads all of it.
     async fn check(&self, deep: bool) -> Result<()>;
 
-    /// Writes a copy of the queue to the file `to`, which must not exist, as of a moment at which `meanwhile` runs and nothing changes.
-    async fn copy(&self, to: &Path, meanwhile: &(dyn Fn() -> Result<()> + Send + Sync)) -> Result<()>;
-
     /// The workers that hold jobs.
     async fn owners(&self) -> Result<Vec<String>>;
 
@@ -114,13 +143,24 @@ pub trait Queue: Send + Sync {
     /// Whether the job still needs what was uploaded for it: it waits or runs.
     async fn needs_upload(&self, id: &str) -> Result<bool>;
 
-    /// Drops reservations that no running attempt and no result needs (of `job`, or of all), and calls `remove` with every object that
-    /// nothing is left of, and with those of `present` that nothing reserves, while no other worker can reserve it.
-    async fn collect(&self, job: Option<&str>, present: &[String], remove: Remove<'_>) -> Result<()>;
+    /// Drops reservations that no running attempt and no result needs (of `job`, or of all), and calls `remove` with the name of every object
+    /// that nothing is left of, and with those of `present` that nothing reserves. Nobody is given such a name again while it is removed.
+    /// Where workers on other machines share the queue, an object is marked first, and goes when it has been for `grace`, unless somebody
+    /// has reserved it.
+    async fn collect(&self, job: Option<&str>, present: &[String], grace: Duration, remove: Remove<'_>) -> Result<()>;
 }
 
-/// Removes an object.
-pub type Remove<'a> = &'a (dyn Fn(&str) + Send + Sync);
+/// Removes an object; false where that failed, and is to be tried again.
+pub type Remove<'a> = &'a (dyn Fn(&str) -> BoxFuture<'static, bool> + Send + Sync);
+
+/// What another process says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Hint {
+    /// A job waits.
+    Queued,
+    /// This job has changed.
+    Changed(String),
+}
 
 /// Which jobs are listed.
 #[derive(Debug, Clone, Copy, Default)]

@@ -6,7 +6,7 @@
 
 #[cfg(test)]
 pub(super) mod conformance;
-mod pieces;
+pub(super) mod pieces;
 mod writer;
 
 use std::path::Path;
@@ -19,6 +19,7 @@ use sha2::{Digest, Sha256};
 use tokio::io::AsyncWriteExt;
 use utoipa::ToSchema;
 
+pub(super) use self::pieces::removed_piece;
 pub use self::pieces::{FolderPieces, PieceStore};
 pub use self::writer::Writer;
 use super::files::disk;

@@ -100,7 +100,10 @@ impl Deliverer {
     /// Tells what is due until `shutdown`.
     pub async fn run(self: Arc<Self>, shutdown: CancellationToken) {
         while !shutdown.is_cancelled() {
-            let told = self.round(Timestamp::now()).await;
+            let told = match self.store.time().await {
+                Ok(now) => self.round(now).await,
+                Err(failure) => Err(failure),
+            };
             if let Err(failure) = &told
                 && !failure.is_of_the_machine()
             {

@@ -164,6 +164,9 @@ pub enum Replayed {
 /// Where receivers and the outbox are kept. Every method fails with `insufficient_storage` or `unavailable` when the backend does.
 #[async_trait]
 pub trait WebhookStore: Send + Sync {
+    /// The time by which the outbox goes.
+    async fn time(&self) -> Result<Timestamp>;
+
     /// Stores a receiver of a tenant; false where the tenant has [`MAX_WEBHOOKS`].
     async fn add_webhook(&self, tenant: &str, webhook: &Webhook, secret: &str) -> Result<bool>;
 

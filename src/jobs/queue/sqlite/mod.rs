@@ -1,32 +1,25 @@
 //! The queue in one SQLite file (WAL): for one machine, any number of processes. All SQL of jobs stands here and beside it.
 
-mod batches;
-mod keys;
 mod migrations;
-mod rows;
 mod submit;
-mod uploads;
-mod webhooks;
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
-use serde_json::Value;
-use sqlx::sqlite::{
-    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteRow, SqliteSynchronous,
-};
-use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row, Transaction};
 
 use self::migrations::MIGRATIONS;
-use self::rows::{job, json, parsed, states};
+use super::failure::{DAMAGED, unavailable};
+use super::rows::{self, artifact_bytes, integer, job, json, states};
 use super::{
     AttemptEnd, AttemptStatus, CancelReply, Capacity, Claim, HeartbeatReply, Listing, MAX_DEATHS, MAX_PROGRESS_LEAD,
     NewJob, Queue, Remove, StoredBytes, Submitted, canceled, given_up,
 };
 use crate::context::Progress;
-use crate::error::{Code, Failure, Result};
+use crate::error::{Failure, Result};
 use crate::jobs::files::disk;
 use crate::jobs::record::{Job, JobState, Timestamp};
 use crate::metrics::RefinementOutcome;
@@ -151,8 +144,15 @@ impl Sqlite {
         Sqlite { small, ..self }
     }
 
+    /// Workers of this process are told by it, those of others look by themselves.
+    fn submitted(&self) {}
+
+    fn reader(&self) -> &SqlitePool {
+        &self.pool
+    }
+
     /// The connections for what writes: a file that is no longer the queue's would take it without complaint.
-    fn pool(&self) -> Result<&SqlitePool> {
+    fn writer(&self) -> Result<&SqlitePool> {
         let path = self.options.get_filename();
         let lost = |how: &str| {
             let message = format!(
@@ -170,6 +170,27 @@ impl Sqlite {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => lost("removed"),
             Err(e) => Err(disk(path, &e)),
         }
+    }
+
+    /// A transaction that writes: while it is open, nobody else does.
+    async fn begin(&self) -> Result<Transaction<'_, sqlx::Sqlite>> {
+        Ok(self.writer()?.begin_with("BEGIN IMMEDIATE").await?)
+    }
+
+    /// Runs a step. The file is at hand: it needs no limit on time but that of the lock.
+    async fn step<T>(&self, step: impl Future<Output = Result<T>> + Send) -> Result<T> {
+        step.await
+    }
+
+    /// Writes a copy of the queue to the file `to`, which must not exist, as of a moment at which `meanwhile` runs and nothing changes.
+    ///
+    /// # Errors
+    /// `insufficient_storage`, `unavailable`.
+    pub async fn copy(&self, to: &Path, meanwhile: &(dyn Fn() -> Result<()> + Send + Sync)) -> Result<()> {
+        // Nobody can write until this is dropped.
+        let _still = self.begin().await?;
+        migrations::copy(&self.pool, to).await?;
+        meanwhile()
     }
 
     /// Writes what a file held that was removed, replaced or cut short beside its place, once.
@@ -194,15 +215,24 @@ fn rescue_path(path: &Path) -> std::path::PathBuf {
     path.with_extension("sqlite.rescued")
 }
 
+super::key_store!(Sqlite);
+super::webhook_store!(Sqlite, "");
+super::batch_store!(Sqlite, "jobs", "jobs.progress");
+super::upload_store!(Sqlite);
+
 #[async_trait]
 impl Queue for Sqlite {
+    async fn now(&self) -> Result<Timestamp> {
+        Ok(Timestamp::now())
+    }
+
     async fn identity(&self) -> Result<String> {
         Ok(sqlx::query("SELECT identity FROM store").fetch_one(&self.pool).await?.try_get(0)?)
     }
 
     async fn submit(&self, job: &NewJob, most: u32) -> Result<Submitted> {
-        let mut step = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
-        let submitted = submit::insert(&mut step, job, most).await;
+        let mut step = self.begin().await?;
+        let submitted = Self::insert(&mut step, job, most).await;
         match submitted {
             Ok(Submitted::New | Submitted::Reused) => step.commit().await?,
             _ => step.rollback().await?,
@@ -213,7 +243,7 @@ impl Queue for Sqlite {
     async fn get(&self, id: &str) -> Result<Option<Job>> {
         let sql = format!("SELECT *, {} FROM jobs WHERE id = ?1", position(self.small));
         let row = sqlx::query(AssertSqlSafe(sql)).bind(id).fetch_optional(&self.pool).await?;
-        row.as_ref().map(job).transpose()
+        row.as_ref().map(|row| job(row, Timestamp::now())).transpose()
     }
 
     async fn tenant_of(&self, id: &str) -> Result<Option<String>> {
@@ -237,17 +267,18 @@ impl Queue for Sqlite {
             .bind(tenant)
             .fetch_all(&self.pool)
             .await?;
-        let jobs = rows.iter().map(job).collect::<Result<Vec<_>>>()?;
-        let full = jobs.len() as u64 == u64::from(limit);
-        let next = rows.last().filter(|_| full).map(|row| row.try_get("seq")).transpose()?;
-        Ok((jobs, next))
+        rows::page(&rows, Timestamp::now(), limit)
     }
 
     async fn counts(&self) -> Result<Vec<(JobState, u64)>> {
-        let rows = sqlx::query("SELECT state, count(*) FROM jobs GROUP BY state").fetch_all(&self.pool).await?;
-        let count = |row: &SqliteRow| Ok((row.try_get::<String, _>(0)?, row.try_get::<i64, _>(1)?));
-        let counts = rows.iter().map(count).collect::<Result<Vec<_>>>()?;
-        Ok(counts.into_iter().filter_map(|(s, n)| Some((JobState::from_name(&s)?, n.unsigned_abs()))).collect())
+        let sql = "SELECT state, count(*) AS count FROM jobs GROUP BY state";
+        rows::counts(&sqlx::query(sql).fetch_all(&self.pool).await?)
+    }
+
+    async fn waiting(&self) -> Result<u64> {
+        let sql = "SELECT count(*) FROM jobs WHERE state = 'queued'";
+        let row = sqlx::query(sql).fetch_one(&self.pool).await?;
+        Ok(row.try_get::<i64, _>(0)?.unsigned_abs())
     }
 
     async fn waits_since(&self) -> Result<Option<Timestamp>> {
@@ -272,22 +303,10 @@ impl Queue for Sqlite {
             .bind(integer(capacity.free))
             .bind(integer(capacity.most))
             .bind(now.minus(capacity.patience).0)
-            .fetch_all(self.pool()?)
+            .fetch_all(self.writer()?)
             .await?;
         let Some(row) = rows.first() else { return Ok(None) };
-        let progress: Value = parsed(row, "progress")?;
-        Ok(Some(Claim {
-            id: row.try_get("id")?,
-            attempt: row.try_get("attempt")?,
-            options: parsed(row, "options")?,
-            inputs: parsed(row, "inputs")?,
-            floor: progress.get("fraction").and_then(Value::as_f64).unwrap_or(0.0),
-            memory: row.try_get::<i64, _>("memory")?.unsigned_abs(),
-            request: row.try_get("request")?,
-            trace: row.try_get("trace")?,
-            queued_at: Timestamp(row.try_get("queued_at")?),
-            suspect: row.try_get("suspect")?,
-        }))
+        Ok(Some(rows::claim(row)?))
     }
 
     async fn heartbeat(&self, claim: &Claim, lease: Duration, status: &AttemptStatus) -> Result<HeartbeatReply> {
@@ -310,8 +329,8 @@ impl Queue for Sqlite {
         }
     }
 
-    async fn reserve(&self, claim: &Claim, objects: &[String]) -> Result<bool> {
-        let mut step = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
+    async fn reserve(&self, claim: &Claim, objects: &[String]) -> Result<Option<Vec<String>>> {
+        let mut step = self.begin().await?;
         let held = sqlx::query(
             "SELECT 1 FROM jobs WHERE id = ?1 AND attempt = ?2 AND state = 'running' AND cancel_requested = 0",
         )
@@ -320,7 +339,7 @@ impl Queue for Sqlite {
         .fetch_optional(&mut *step)
         .await?;
         if held.is_none() {
-            return Ok(false);
+            return Ok(None);
         }
         for object in objects {
             sqlx::query("INSERT OR IGNORE INTO objects (sha256, job, attempt) VALUES (?1, ?2, ?3)")
@@ -331,7 +350,11 @@ impl Queue for Sqlite {
                 .await?;
         }
         step.commit().await?;
-        Ok(true)
+        Ok(Some(objects.to_vec()))
+    }
+
+    async fn place(&self, sha256: &str) -> Result<String> {
+        Ok(sha256.to_owned())
     }
 
     async fn finish(&self, claim: &Claim, end: &AttemptEnd, keep: Duration) -> Result<bool> {
@@ -352,9 +375,9 @@ impl Queue for Sqlite {
         .bind(end.error.as_ref().map(json).transpose()?)
         .bind(json(&end.artifacts)?)
         .bind(json(&end.status.stages)?)
-        .bind(integer(end.artifacts.iter().map(|a| a.bytes).sum()))
+        .bind(artifact_bytes(end))
         .bind(end.outcome.map(RefinementOutcome::as_str))
-        .execute(self.pool()?)
+        .execute(self.writer()?)
         .await?;
         Ok(done.rows_affected() > 0)
     }
@@ -368,7 +391,7 @@ impl Queue for Sqlite {
         .bind(claim.attempt)
         .bind(json(progress)?)
         .bind(Timestamp::now().0)
-        .execute(self.pool()?)
+        .execute(self.writer()?)
         .await?;
         Ok(done.rows_affected() > 0)
     }
@@ -383,18 +406,18 @@ impl Queue for Sqlite {
         .bind(id)
         .bind(Timestamp::now().0)
         .bind(json(&canceled())?)
-        .fetch_all(self.pool()?)
+        .fetch_all(self.writer()?)
         .await?;
         if let Some(row) = rows.first() {
             let state: String = row.try_get(0)?;
             return Ok(if state == "running" { CancelReply::Asked } else { CancelReply::AtOnce });
         }
-        let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?1").bind(id).fetch_optional(self.pool()?).await?;
+        let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?1").bind(id).fetch_optional(self.writer()?).await?;
         Ok(if known.is_some() { CancelReply::Final } else { CancelReply::Unknown })
     }
 
     async fn delete(&self, id: &str) -> Result<bool> {
-        let done = sqlx::query("DELETE FROM jobs WHERE id = ?1").bind(id).execute(self.pool()?).await?;
+        let done = sqlx::query("DELETE FROM jobs WHERE id = ?1").bind(id).execute(self.writer()?).await?;
         Ok(done.rows_affected() > 0)
     }
 
@@ -413,7 +436,7 @@ impl Queue for Sqlite {
         .bind(json(&canceled())?)
         .bind(MAX_PROGRESS_LEAD)
         .bind(living)
-        .fetch_all(self.pool()?)
+        .fetch_all(self.writer()?)
         .await?;
         states(&rows)
     }
@@ -435,7 +458,7 @@ impl Queue for Sqlite {
         .bind(json(&given_up())?)
         .bind(json(&canceled())?)
         .bind(MAX_PROGRESS_LEAD)
-        .fetch_all(self.pool()?)
+        .fetch_all(self.writer()?)
         .await?;
         Ok(states(&rows)?.pop().map(|(_, state)| state))
     }
@@ -454,7 +477,7 @@ impl Queue for Sqlite {
     }
 
     async fn check(&self, deep: bool) -> Result<()> {
-        if let Err(failure) = self.pool() {
+        if let Err(failure) = self.writer() {
             self.rescue().await;
             return Err(failure);
         }
@@ -486,13 +509,6 @@ impl Queue for Sqlite {
         Ok(())
     }
 
-    async fn copy(&self, to: &Path, meanwhile: &(dyn Fn() -> Result<()> + Send + Sync)) -> Result<()> {
-        // Nobody can write until this is dropped.
-        let _still = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
-        migrations::copy(&self.pool, to).await?;
-        meanwhile()
-    }
-
     async fn owners(&self) -> Result<Vec<String>> {
         let sql = "SELECT DISTINCT owner FROM jobs WHERE state = 'running' AND owner IS NOT NULL ORDER BY owner";
         let rows = sqlx::query(sql).fetch_all(&self.pool).await?;
@@ -506,7 +522,7 @@ impl Queue for Sqlite {
         )
         .bind(before.0)
         .bind(Timestamp::now().0)
-        .fetch_all(self.pool()?)
+        .fetch_all(self.writer()?)
         .await?;
         states(&rows)
     }
@@ -516,7 +532,7 @@ impl Queue for Sqlite {
             "UPDATE jobs SET artifacts_removed = 1 WHERE artifacts_removed = 0 AND artifacts_expire_at <= ?1 RETURNING id",
         )
         .bind(Timestamp::now().0)
-        .fetch_all(self.pool()?)
+        .fetch_all(self.writer()?)
         .await?;
         rows.iter().map(|row| Ok(row.try_get(0)?)).collect()
     }
@@ -526,7 +542,7 @@ impl Queue for Sqlite {
             "DELETE FROM jobs WHERE finished_at < ?1 AND (artifacts_removed = 1 OR artifacts_expire_at IS NULL)",
         )
         .bind(before.0)
-        .execute(self.pool()?)
+        .execute(self.writer()?)
         .await?;
         Ok(done.rows_affected())
     }
@@ -539,9 +555,9 @@ impl Queue for Sqlite {
         Ok(row.is_some())
     }
 
-    async fn collect(&self, of: Option<&str>, present: &[String], remove: Remove<'_>) -> Result<()> {
+    async fn collect(&self, of: Option<&str>, present: &[String], _: Duration, remove: Remove<'_>) -> Result<()> {
         // Whoever wants to reserve an object waits until this step is done.
-        let mut step = self.pool()?.begin_with("BEGIN IMMEDIATE").await?;
+        let mut step = self.begin().await?;
         let rows = sqlx::query(
             "DELETE FROM objects WHERE (?1 IS NULL OR job = ?1) AND NOT EXISTS (
                SELECT 1 FROM jobs WHERE jobs.id = objects.job AND jobs.attempt = objects.attempt AND (jobs.state = 'running'
@@ -558,42 +574,10 @@ impl Queue for Sqlite {
         for object in objects {
             let sql = "SELECT 1 FROM objects WHERE sha256 = ?1 LIMIT 1";
             if sqlx::query(sql).bind(&object).fetch_optional(&mut *step).await?.is_none() {
-                remove(&object);
+                remove(&object).await;
             }
         }
         Ok(step.commit().await?)
-    }
-}
-
-/// A number as a column holds it.
-fn integer(number: u64) -> i64 {
-    i64::try_from(number).unwrap_or(i64::MAX)
-}
-
-const DAMAGED: &str =
-    "the file of the job queue is damaged: stop the service, put a copy from a backup in its place, start it again";
-
-fn unavailable(why: &str) -> Failure {
-    Failure::new(Code::Unavailable, why)
-}
-
-impl From<sqlx::Error> for Failure {
-    /// The machine's trouble, which ends no job: the primary result codes of SQLite say which.
-    fn from(error: sqlx::Error) -> Self {
-        tracing::debug!(%error, "the queue failed");
-        let extended = error.as_database_error().and_then(|e| e.code()?.parse::<u32>().ok());
-        match (extended.map(|code| code & 0xFF), &error) {
-            (Some(13), _) => Failure::new(Code::InsufficientStorage, "the disk of the job queue is full"),
-            (Some(5 | 6), _)
-            | (_, sqlx::Error::PoolTimedOut | sqlx::Error::InvalidSavePointStatement | sqlx::Error::BeginFailed) => {
-                unavailable("the job queue is busy")
-            }
-            (Some(8), _) => unavailable("the job queue cannot be written: its file or folder is read-only"),
-            (Some(11 | 26), _) => unavailable(DAMAGED),
-            (Some(10 | 14), _) | (_, sqlx::Error::Io(_)) => unavailable("the file of the job queue cannot be used"),
-            (Some(_), _) => unavailable(&format!("the job queue failed: {error}")),
-            _ => Failure::internal(format!("the job queue failed: {error}")),
-        }
     }
 }
 
@@ -621,9 +605,32 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_copy_holds_all_and_nothing_changes_while_it_is_made() {
+        let folder = tempfile::tempdir().unwrap();
+        let queue = Sqlite::open(&folder.path().join("q")).await.unwrap();
+        queue.submit(&NewJob { id: "j".into(), ..NewJob::default() }, 9).await.unwrap();
+        let ran = std::sync::Mutex::new(false);
+        let meanwhile = || {
+            *ran.lock().unwrap() = true;
+            Ok(())
+        };
+        queue.copy(&folder.path().join("copy"), &meanwhile).await.unwrap();
+        assert!(*ran.lock().unwrap() && folder.path().join("copy").exists());
+        assert_eq!(queue.check(true).await, Ok(()));
+        assert!(queue.claim("w", Duration::from_secs(9), Capacity::ANY).await.unwrap().is_some(), "it goes on");
+    }
+
+    #[tokio::test]
     async fn it_keeps_keys() {
         let root = tempfile::tempdir().unwrap();
         crate::jobs::keys::conformance::suite(&Sqlite::open(&root.path().join("q")).await.unwrap()).await;
+    }
+
+    #[tokio::test]
+    async fn it_keeps_batches_and_uploads() {
+        let root = tempfile::tempdir().unwrap();
+        crate::jobs::batches::conformance::suite(&Sqlite::open(&root.path().join("b")).await.unwrap()).await;
+        crate::jobs::resumable::conformance::suite(&Sqlite::open(&root.path().join("u")).await.unwrap()).await;
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 4)]

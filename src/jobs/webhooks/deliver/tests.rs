@@ -11,6 +11,7 @@ use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
 
 use super::*;
+use crate::jobs::queue::postgres::testing::Databases;
 use crate::jobs::queue::sqlite::Sqlite;
 use crate::jobs::queue::{AttemptEnd, AttemptStatus, Capacity, NewJob, Queue};
 use crate::jobs::record::JobState;
@@ -82,24 +83,47 @@ async fn receive(State(receiver): State<Receiver>, uri: Uri, request: Request) -
         .into_response()
 }
 
+/// A queue with its outbox.
+trait Outbox: Queue + WebhookStore {}
+
+impl<Q: Queue + WebhookStore> Outbox for Q {}
+
+/// What the queue is made of.
+enum Backend {
+    Sqlite,
+    Postgres(Databases),
+}
+
 struct Setup {
     _root: tempfile::TempDir,
-    queue: Arc<Sqlite>,
+    queue: Arc<dyn Outbox>,
     deliverer: Deliverer,
 }
 
-async fn setup(allow: &[&str]) -> Setup {
-    let root = tempfile::tempdir().unwrap();
-    let queue = Arc::new(Sqlite::open(&root.path().join("q")).await.unwrap());
-    let settings = Webhooks {
-        webhook_allow: allow.iter().map(|net| net.parse().unwrap()).collect(),
-        webhook_secret: vec![new_secret().unwrap().parse().unwrap()],
-    };
-    let deliverer = Deliverer::new(queue.clone(), &settings).unwrap();
-    Setup { _root: root, queue, deliverer }
+impl Backend {
+    async fn setup(&self, allow: &[&str]) -> Setup {
+        let root = tempfile::tempdir().unwrap();
+        let settings = Webhooks {
+            webhook_allow: allow.iter().map(|net| net.parse().unwrap()).collect(),
+            webhook_secret: vec![new_secret().unwrap().parse().unwrap()],
+        };
+        match self {
+            Backend::Sqlite => {
+                let queue = Sqlite::open(&root.path().join("q")).await.unwrap();
+                Setup::new(root, queue, &settings)
+            }
+            Backend::Postgres(databases) => Setup::new(root, databases.queue().await, &settings),
+        }
+    }
 }
 
 impl Setup {
+    fn new<Q: Outbox + 'static>(root: tempfile::TempDir, queue: Q, settings: &Webhooks) -> Setup {
+        let queue = Arc::new(queue);
+        let deliverer = Deliverer::new(queue.clone(), settings).unwrap();
+        Setup { _root: root, queue, deliverer }
+    }
+
     async fn webhook(&self, tenant: &str, id: &str, url: String, events: &[WebhookEvent]) -> String {
         let secret = new_secret().unwrap();
         let (id, events, created_at) = (id.to_owned(), events.to_vec(), Timestamp::now());
@@ -137,9 +161,8 @@ fn later(seconds: u64) -> Timestamp {
     Timestamp::now().plus(Duration::from_secs(seconds))
 }
 
-#[tokio::test]
-async fn a_receiver_that_is_down_for_an_hour_gets_each_event_once() {
-    let setup = setup(&["127.0.0.0/8"]).await;
+async fn a_receiver_that_is_down_for_an_hour_gets_each_event_once(on: &Backend) {
+    let setup = on.setup(&["127.0.0.0/8"]).await;
     let receiver = Receiver::start().await;
     let secret = setup.webhook("a", "hook", receiver.url(), &WebhookEvent::ALL).await;
     for id in ["one", "two", "three"] {
@@ -175,9 +198,8 @@ async fn a_receiver_that_is_down_for_an_hour_gets_each_event_once() {
     assert_eq!(jobs, ["one", "three", "two"], "and nothing of another tenant's");
 }
 
-#[tokio::test]
-async fn the_reference_library_verifies_what_is_sent_also_while_secrets_rotate() {
-    let setup = setup(&["127.0.0.0/8"]).await;
+async fn the_reference_library_verifies_what_is_sent_also_while_secrets_rotate(on: &Backend) {
+    let setup = on.setup(&["127.0.0.0/8"]).await;
     let receiver = Receiver::start().await;
     let old = setup.webhook("a", "hook", receiver.url(), &WebhookEvent::ALL).await;
     let new = new_secret().unwrap();
@@ -196,9 +218,8 @@ async fn the_reference_library_verifies_what_is_sent_also_while_secrets_rotate()
     assert!(Signer::new(&new).unwrap().verify(forged.as_bytes(), &told[0].headers).is_err());
 }
 
-#[tokio::test]
-async fn whatever_ends_a_job_is_told_and_nothing_else() {
-    let setup = setup(&["127.0.0.0/8"]).await;
+async fn whatever_ends_a_job_is_told_and_nothing_else(on: &Backend) {
+    let setup = on.setup(&["127.0.0.0/8"]).await;
     let receiver = Receiver::start().await;
     setup.webhook("a", "all", receiver.url(), &WebhookEvent::ALL).await;
     setup.webhook("a", "failures", receiver.url(), &[WebhookEvent::Failed]).await;
@@ -231,9 +252,8 @@ async fn whatever_ends_a_job_is_told_and_nothing_else() {
     assert_eq!(setup.queue.purge_deliveries(later(60)).await, Ok(6));
 }
 
-#[tokio::test]
-async fn a_receiver_that_is_gone_is_told_nothing_more() {
-    let setup = setup(&["127.0.0.0/8"]).await;
+async fn a_receiver_that_is_gone_is_told_nothing_more(on: &Backend) {
+    let setup = on.setup(&["127.0.0.0/8"]).await;
     let receiver = Receiver::start().await;
     setup.webhook("a", "hook", receiver.url(), &WebhookEvent::ALL).await;
     receiver.answers(410);
@@ -250,11 +270,10 @@ async fn a_receiver_that_is_gone_is_told_nothing_more() {
     assert_eq!(setup.queue.remove_webhook("a", "hook").await, Ok(true));
 }
 
-#[tokio::test]
-async fn private_addresses_are_refused_when_they_are_connected_to_and_redirects_lead_nowhere() {
+async fn private_addresses_are_refused_when_they_are_connected_to_and_redirects_lead_nowhere(on: &Backend) {
     let receiver = Receiver::start().await;
     let port = receiver.address.port();
-    let careful = setup(&[]).await;
+    let careful = on.setup(&[]).await;
     for url in [format!("http://127.0.0.1:{port}/"), format!("http://[::ffff:127.0.0.1]:{port}/")] {
         assert!(careful.deliverer.check_url(&url).is_err(), "{url}");
     }
@@ -271,7 +290,7 @@ async fn private_addresses_are_refused_when_they_are_connected_to_and_redirects_
     let why = page[0].error.as_ref().unwrap();
     assert!(why.contains("not an address of the open internet") && page[0].state == DeliveryState::Pending, "{why}");
 
-    let open = setup(&["127.0.0.1/32"]).await;
+    let open = on.setup(&["127.0.0.1/32"]).await;
     open.webhook("a", "hook", receiver.url(), &[WebhookEvent::Succeeded]).await;
     receiver.answers(302);
     open.ended("a", "one", JobState::Succeeded).await;
@@ -287,9 +306,8 @@ async fn private_addresses_are_refused_when_they_are_connected_to_and_redirects_
     assert_eq!(open.states("a", "hook").await, [("job.succeeded".to_owned(), DeliveryState::Failed, 10)]);
 }
 
-#[tokio::test]
-async fn a_job_may_name_where_it_is_told_and_each_tenant_has_its_own_secret() {
-    let setup = setup(&["127.0.0.0/8"]).await;
+async fn a_job_may_name_where_it_is_told_and_each_tenant_has_its_own_secret(on: &Backend) {
+    let setup = on.setup(&["127.0.0.0/8"]).await;
     let receiver = Receiver::start().await;
     for (tenant, id) in [("", "one"), ("a", "two"), ("b", "three")] {
         setup.submit(tenant, id, json!({"webhook": receiver.url()})).await;
@@ -305,4 +323,31 @@ async fn a_job_may_name_where_it_is_told_and_each_tenant_has_its_own_secret() {
     assert_eq!(told.len(), 3);
     let bad = Webhooks { webhook_secret: vec!["short".parse().unwrap()], ..Webhooks::default() };
     assert!(Deliverer::new(setup.queue.clone(), &bad).is_err_and(|failure| !failure.message.contains("short")));
+}
+
+macro_rules! on_each_backend {
+    ($($test:ident)*) => {
+        mod on_sqlite {
+            $(#[tokio::test]
+            async fn $test() {
+                super::$test(&super::Backend::Sqlite).await;
+            })*
+        }
+
+        #[tokio::test]
+        async fn all_of_it_on_postgres() {
+            let Some(databases) = Databases::start() else { return };
+            let on = Backend::Postgres(databases);
+            $($test(&on).await;)*
+        }
+    };
+}
+
+on_each_backend! {
+    a_receiver_that_is_down_for_an_hour_gets_each_event_once
+    the_reference_library_verifies_what_is_sent_also_while_secrets_rotate
+    whatever_ends_a_job_is_told_and_nothing_else
+    a_receiver_that_is_gone_is_told_nothing_more
+    private_addresses_are_refused_when_they_are_connected_to_and_redirects_lead_nowhere
+    a_job_may_name_where_it_is_told_and_each_tenant_has_its_own_secret
 }

@@ -12,13 +12,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row, SqliteConnection};
 
 use crate::error::{Code, Failure, Result};
 use crate::jobs::files::{disk, sync_folder};
-
-/// The step from the schema before to that of `version`.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Migration {
-    version: i64,
-    sql: &'static str,
-}
+use crate::jobs::queue::schema::{Migration, outstanding};
 
 /// All of them, in order. A new store takes every step, so that it has the same tables as one that grew.
 pub(super) const MIGRATIONS: &[Migration] = &[
@@ -80,24 +74,6 @@ pub(super) async fn migrate(pool: &SqlitePool, path: &Path, migrations: &[Migrat
 
 async fn version(connection: &mut SqliteConnection) -> Result<i64> {
     Ok(sqlx::query("PRAGMA user_version").fetch_one(connection).await?.try_get(0)?)
-}
-
-/// The migrations that a store of that version lacks.
-fn outstanding(version: i64, migrations: &[Migration]) -> Result<&[Migration]> {
-    let [first, .., last] = migrations else { return Ok(migrations) };
-    if version > last.version {
-        let known = last.version;
-        return Err(Failure::internal(format!(
-            "the job queue was made by a newer version of Intarsia (schema {version}, this one knows {known})"
-        )));
-    }
-    if version != 0 && version < first.version {
-        let known = first.version;
-        return Err(Failure::internal(format!(
-            "the job queue was made by a version of Intarsia that is too old (schema {version}, this one reads {known} and later)"
-        )));
-    }
-    Ok(migrations.get(migrations.partition_point(|m| m.version <= version)..).unwrap_or_default())
 }
 
 /// Copies the store as it is, with what is in its WAL, to a file that appears whole or not at all. The caller holds the lock for writing, so
