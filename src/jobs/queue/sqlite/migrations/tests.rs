@@ -183,7 +183,8 @@ async fn a_store_that_grew_is_as_a_new_one_and_each_is_itself() {
 
 #[tokio::test]
 async fn a_store_of_a_version_that_is_not_known_is_refused_and_stays_as_it_is() {
-    for (version, part) in [(99, "made by a newer version of Intarsia (schema 99, this one knows 7)"), (1, "too old")] {
+    for (version, part) in [(99, "made by a newer version of Intarsia (schema 99, this one knows 10)"), (1, "too old")]
+    {
         let (root, path, mut other) = store_2().await;
         let sql = format!("PRAGMA user_version = {version}; PRAGMA wal_checkpoint(TRUNCATE)");
         sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut other).await.unwrap();
@@ -210,15 +211,15 @@ async fn of_many_that_open_a_store_one_migrates_it() {
         identities.insert(opening.await.unwrap());
     }
     assert_eq!(identities.len(), 1, "{identities:?}");
-    // One that came later would have copied a store of version 7.
-    assert_eq!((look(&path).await.0, look(&path.with_extension("sqlite.v2")).await.0), (7, 2));
+    // One that came later would have copied a store of version 10.
+    assert_eq!((look(&path).await.0, look(&path.with_extension("sqlite.v2")).await.0), (10, 2));
 }
 
 #[tokio::test]
 async fn a_migration_that_fails_leaves_store_and_copy() {
     let (root, path, _other) = store_2().await;
     let before = look(&path).await;
-    let broken = Migration { version: 8, sql: "DELETE FROM jobs; INSERT INTO jobs (state) VALUES (1);" };
+    let broken = Migration { version: 11, sql: "DELETE FROM jobs; INSERT INTO jobs (state) VALUES (1);" };
     let migrations = [MIGRATIONS, &[broken]].concat();
     let pool = SqlitePool::connect_with(SqliteConnectOptions::new().filename(&path)).await.unwrap();
     assert!(migrate(&pool, &path, &migrations).await.is_err());
