@@ -59,7 +59,7 @@ function region(side, page, [w, h]) {
 /** A canvas of the raster's size, each pixel as `paint(face + 1, layers, index)` says: [r, g, b, a] or null. */
 export function painted(raster, paint) {
   const canvas = new OffscreenCanvas(raster.width, raster.height);
-  const context = canvas.getContext("2d");
+  const context = canvas.getContext("2d", { willReadFrequently: true });
   const image = context.createImageData(raster.width, raster.height);
   for (let i = 0; i < raster.ids.length; i++) {
     const colour = paint(raster.ids[i], raster.layers[i], i);

@@ -12,7 +12,8 @@ export class SheetView {
   /** `camera` is shared with the other side: `{x, y, zoom}`, the texel at the middle and CSS pixels of a texel. */
   constructor(canvas, camera, handlers) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d");
+    // Thousands of short lines: without a graphics card they take a hundred times as long as on the processor itself.
+    this.context = canvas.getContext("2d", { willReadFrequently: true });
     this.camera = camera;
     this.handlers = handlers;
     this.cache = new Map();

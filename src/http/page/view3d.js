@@ -233,7 +233,7 @@ export class ModelView {
     this.buffers = atlases.map((atlas, n) => this.buffer(atlas[which], n));
     const known = Float32Array.from(atlases.flatMap((a) => [...(a.before.layout?.logDensity ?? a.after.layout?.logDensity ?? [])]).filter((v) => !Number.isNaN(v))).sort();
     this.median = known[known.length >> 1] ?? 0;
-    this.draw();
+    this.draw(true);
   }
 
   drop(held) {
@@ -372,7 +372,7 @@ export class ModelView {
       const bitmap = await picture.bitmap().catch(() => null);
       if (bitmap && !this.textures.has(`${n} ${name} ${page}`)) this.textures.set(`${n} ${name} ${page}`, this.texture(bitmap, slot.wrap));
     }));
-    this.draw();
+    this.draw(true);
   }
 
   texture(bitmap, wrap) {
