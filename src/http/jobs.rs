@@ -1,5 +1,7 @@
 //! `/v1/jobs`: submit, read, list, cancel, delete.
 
+use std::time::Duration;
+
 use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::IntoResponse;
@@ -119,25 +121,7 @@ pub(super) async fn read(State(app): State<App>, Path(id): Path<String>, headers
         Some(wait) => app.jobs.wait_until_final(&id, wait).await?,
         None => app.jobs.get(&id).await?,
     };
-    let body = serde_json::to_vec(&job).map_err(|e| Failure::internal(e.to_string()))?;
-    let etag = etag(&body);
-    let mut response = if matches(&headers, &etag) {
-        StatusCode::NOT_MODIFIED.into_response()
-    } else {
-        ([(header::CONTENT_TYPE, "application/json")], body).into_response()
-    };
-    let headers = response.headers_mut();
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
-    if let Ok(etag) = HeaderValue::from_str(&etag) {
-        headers.insert(header::ETAG, etag);
-    }
-    if !job.state.is_final() {
-        headers.insert(header::RETRY_AFTER, retry_after(&app, &job));
-    }
-    if let Some(wait) = wait {
-        prefer::applied(headers, wait);
-    }
-    Ok(response)
+    polled(&headers, &job, (!job.state.is_final()).then(|| retry_after(&app, &job)), wait)
 }
 
 /// What a submission is answered.
@@ -237,8 +221,36 @@ pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Ha
 }
 
 /// The ETag of a body.
-pub(super) fn etag(body: &[u8]) -> String {
+fn etag(body: &[u8]) -> String {
     format!("\"{}\"", hex::encode(Sha256::digest(body).get(..16).unwrap_or_default()))
+}
+
+/// The answer to who asks again and again how something stands: none where nothing has changed, and when to ask again until it is final.
+pub(super) fn polled(
+    asked: &HeaderMap,
+    status: &impl Serialize,
+    retry_after: Option<HeaderValue>,
+    wait: Option<Duration>,
+) -> HandlerResult {
+    let body = serde_json::to_vec(status).map_err(|e| Failure::internal(e.to_string()))?;
+    let etag = etag(&body);
+    let mut response = if matches(asked, &etag) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        ([(header::CONTENT_TYPE, "application/json")], body).into_response()
+    };
+    let headers = response.headers_mut();
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    if let Ok(etag) = HeaderValue::from_str(&etag) {
+        headers.insert(header::ETAG, etag);
+    }
+    if let Some(seconds) = retry_after {
+        headers.insert(header::RETRY_AFTER, seconds);
+    }
+    if let Some(wait) = wait {
+        prefer::applied(headers, wait);
+    }
+    Ok(response)
 }
 
 /// Whether `If-None-Match` names the tag (weak comparison, RFC 9110, 13.1.2).

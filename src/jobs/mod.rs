@@ -210,14 +210,19 @@ impl Jobs {
                 Ok((self.get(&known).await?, Taken::Known))
             }
             Err(failure) => {
-                self.hub.ended(id, JobState::Canceled);
-                self.files.remove_incoming(id);
-                // Where the answer of a distant queue was lost, the job may be stored: maintenance looks, later.
-                if !(self.queue.is_shared() && failure.is_of_the_machine()) {
-                    self.remove_upload(id).await;
-                }
+                self.not_taken(id, &failure).await;
                 Err(failure)
             }
+        }
+    }
+
+    /// Forgets a job that the queue did not take, or did not say that it took.
+    async fn not_taken(&self, id: &str, failure: &Failure) {
+        self.hub.ended(id, JobState::Canceled);
+        self.files.remove_incoming(id);
+        // Where the answer of a distant queue was lost, the job may be stored: maintenance looks, later.
+        if !(self.queue.is_shared() && failure.is_of_the_machine()) {
+            self.remove_upload(id).await;
         }
     }
 

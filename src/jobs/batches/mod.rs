@@ -294,14 +294,8 @@ impl Jobs {
                 Ok((self.batch(&known).await?, true))
             }
             Err(failure) => {
-                // Where the answer of a distant queue was lost, the jobs may be stored: maintenance looks, later.
-                let unsure = self.queue.is_shared() && failure.is_of_the_machine();
                 for id in &ids {
-                    self.hub.ended(id, JobState::Canceled);
-                    self.files.remove_incoming(id);
-                    if !unsure {
-                        self.remove_upload(id).await;
-                    }
+                    self.not_taken(id, &failure).await;
                 }
                 Err(failure)
             }

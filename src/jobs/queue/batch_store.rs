@@ -21,9 +21,10 @@ macro_rules! batch_store {
                 async fn submit_batch(&self, batch: &NewBatch, most: u32) -> Result<BatchSubmitted> {
                     let key = batch.key.as_ref().map(|(key, _)| stored_key(&batch.tenant, key));
                     let fingerprint = batch.key.as_ref().map(|(_, fingerprint)| fingerprint.as_str());
-                    self.step(async move {
-                        let now = Queue::now(self).await?;
-                        let mut step = self.begin().await?;
+                    let now = Queue::now(self).await?;
+                    // Each item has as long as a step may take, and not all of them together.
+                    let mut step = self.step(self.begin()).await?;
+                    let known = self.step(async {
                         let done = sqlx::query(
                             "INSERT INTO batches (id, tenant, key, fingerprint, metadata, created_at) VALUES ($1, $2, $3, $4, $5, $6)
                              ON CONFLICT (key) DO NOTHING",
@@ -36,29 +37,24 @@ macro_rules! batch_store {
                         .bind(now.0)
                         .execute(&mut *step)
                         .await?;
-                        if done.rows_affected() == 0 {
-                            let sql = "SELECT id, fingerprint FROM batches WHERE key = $1";
-                            let row = sqlx::query(sql).bind(&key).fetch_one(&mut *step).await?;
-                            step.rollback().await?;
-                            return if row.text_or_null("fingerprint")?.as_deref() == fingerprint {
-                                Ok(BatchSubmitted::Known(row.text("id")?))
-                            } else {
-                                Err(mismatch())
-                            };
+                        if done.rows_affected() > 0 {
+                            return Ok(None);
                         }
-                        let mut submitted = Vec::with_capacity(batch.jobs.len());
-                        for (place, new) in batch.jobs.iter().enumerate() {
+                        let sql = "SELECT id, fingerprint FROM batches WHERE key = $1";
+                        let row = sqlx::query(sql).bind(&key).fetch_one(&mut *step).await?;
+                        if row.text_or_null("fingerprint")?.as_deref() == fingerprint { row.text("id").map(Some) } else { Err(mismatch()) }
+                    });
+                    // What is not committed is rolled back when it is dropped.
+                    if let Some(known) = known.await? {
+                        return Ok(BatchSubmitted::Known(known));
+                    }
+                    let mut submitted = Vec::with_capacity(batch.jobs.len());
+                    for (place, new) in batch.jobs.iter().enumerate() {
+                        let one = self.step(async {
                             let one = Self::insert(&mut step, new, most).await.map_err(|failure| match failure.code {
                                 Code::IdempotencyMismatch => failure.at(format!("/items/{place}/idempotency_key")),
                                 _ => failure,
-                            });
-                            let one = match one {
-                                Ok(one) => one,
-                                Err(failure) => {
-                                    step.rollback().await?;
-                                    return Err(failure);
-                                }
-                            };
+                            })?;
                             let (job, made) = match &one {
                                 Submitted::Known(known) => (known, false),
                                 _ => (&new.id, true),
@@ -70,12 +66,13 @@ macro_rules! batch_store {
                                 .bind(made)
                                 .execute(&mut *step)
                                 .await?;
-                            submitted.push(one);
-                        }
-                        step.commit().await?;
-                        self.submitted();
-                        Ok(BatchSubmitted::New(submitted))
-                    }).await
+                            Ok(one)
+                        });
+                        submitted.push(one.await?);
+                    }
+                    self.step(async { Ok(step.commit().await?) }).await?;
+                    self.submitted();
+                    Ok(BatchSubmitted::New(submitted))
                 }
 
                 async fn batch(&self, id: &str) -> Result<Option<StoredBatch>> {
