@@ -38,8 +38,11 @@ use super::optcuts::seam_length;
 use super::pack::{finished, lay_out};
 use super::stage::{StageInput, Staged};
 use crate::atlas::bvh::Bounds;
+use crate::atlas::overlap::overlaps_where;
 use crate::atlas::rounding;
-use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, OverlapMode, Topology, clusters, coverage, overlaps, seams};
+use crate::atlas::{
+    Atlas, Charts, FaceId, HalfEdge, OverlapMode, Topology, clusters, coverage, overlaps, penetration, seams,
+};
 use crate::context::Context;
 use crate::error::{Failure, Result, Warning};
 use crate::packing::{Random, RectangleRequest};
@@ -67,12 +70,14 @@ const LARGE: usize = 15_000;
 /// Vertices that steps may have moved before something more is tried.
 const WORK: u64 = 3_000_000;
 /// How often charts that cannot be made axis-aligned are halved.
-const HALVINGS: usize = 6;
+const HALVINGS: usize = 10;
 /// How often the gutter is made wider or narrower because the sheet makes the charts smaller or larger, and how much wider than asked for it may end.
 const SCALINGS: usize = 3;
 const TOO_WIDE: f64 = 1.04;
 /// How often an attempt is made again without the disks that could not be written.
 const WRITINGS: usize = 4;
+/// Overlaps that are looked for at most in the result of an attempt.
+const MOST_OVERLAPS: usize = 10_000;
 /// Rounds of reduction, and steps in each.
 const ROUNDS: usize = 30;
 const STEPS: usize = 2;
@@ -188,11 +193,12 @@ fn deform_and_cut(input: &StageInput<'_>, params: &Bounded) -> Result<Staged> {
         job.construct(prepared, corner, f64::INFINITY)?.ok_or_else(|| Failure::internal(TIME_IS_UP))
     };
     let mut first = construct(&prepared)?;
-    for _ in 0..HALVINGS {
-        let bent: Vec<usize> = first.bent().collect();
-        if bent.is_empty() || context.out_of_time() || !prepared.halve(&bent) {
-            break;
-        }
+    let bent: Vec<usize> = first.bent().collect();
+    let still_bent = |own: &Prepared| {
+        let made = if context.out_of_time() { None } else { job.construct(own, corner, f64::INFINITY)? };
+        Ok(made.map_or_else(Vec::new, |made| made.bent().collect()))
+    };
+    if !bent.is_empty() && prepared.halve_apart(&bent, HALVINGS, &still_bent)? {
         first = construct(&prepared)?;
     }
     let best = job.best(&prepared, first, before, &mut work)?;
@@ -525,6 +531,14 @@ impl Job<'_> {
             (atlas, scale) = assemble(input, &mesh, &packed);
             is_out = sheet::round(&mut atlas, &mesh, &labels, constructed, &packed);
         }
+        // Nor may any lie on another, or on itself.
+        for (f, g) in overlapping(&atlas) {
+            for d in [f, g].map(|f| labels.disk[f.index()]) {
+                if let Some(own) = is_out.get_mut(d as usize) {
+                    *own = true;
+                }
+            }
+        }
         let kept = constructed.number.iter().zip(is_out).filter(|(_, is_out)| *is_out).map(|(k, _)| *k).collect();
         Ok((Attempt { atlas, gap, efficiency, distortion, cut, pieces, fallbacks, steps, kept }, scale))
     }
@@ -581,6 +595,14 @@ fn efficiency(atlas: &Atlas) -> f64 {
     let charts = Charts::new(&Topology::new(atlas));
     let apart = clusters(atlas, &charts, OverlapMode::Separate);
     coverage(atlas, &charts, &apart).covered / boxes
+}
+
+/// Pairs of faces that overlap by more than rounding makes of faces that touch.
+fn overlapping(atlas: &Atlas) -> Vec<(FaceId, FaceId)> {
+    let longest = atlas.sheets.iter().flatten().copied().max().unwrap_or(1);
+    let rounding = APART / rounding::STEPS * f64::from(longest);
+    let deep = |f, g| penetration(&atlas.uv_triangle(f), &atlas.uv_triangle(g)) > rounding;
+    overlaps_where(atlas, MOST_OVERLAPS, deep).0
 }
 
 /// Sides of the box about the layout.

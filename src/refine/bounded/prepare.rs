@@ -1,7 +1,7 @@
 //! Charts become disks first: the construction is for maps of disks without flips (section 3, *Inputs*).
 //!
-//! Charts that overlap themselves stay as they are. A vertex at which parts of a chart meet becomes several; a chart with holes is cut from hole to hole
-//! along the shortest paths of edges; what is closed or has handles is grown into disks face by face; a chart in which faces are turned over gets
+//! Charts that overlap themselves stay as they are. Faces that are wound against each other do not hang together. A vertex at which parts of a chart meet becomes several; a chart with holes is cut from hole to hole
+//! along short paths of edges; what is closed or has handles is grown into disks face by face; a chart in which faces are turned over gets
 //! a map of its own (Tutte 1963, then the least distortion).
 
 use std::cmp::Reverse;
@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::chart_map::ChartMap;
 use crate::atlas::bvh::Bounds;
 use crate::atlas::groups::{Cost, DisjointSets, Grouped, sorted_unique};
+use crate::atlas::rounding;
 use crate::atlas::{
     Atlas, Charts, FaceId, HalfEdge, Loops, Mesh, Provenance, TrailEnd, TrailPoint, TrailStart, UvId, orientation,
 };
@@ -21,8 +22,12 @@ use crate::numeric::dirichlet::flattened;
 use crate::numeric::newton::{self, Workspace};
 use crate::numeric::tutte;
 
+/// Rounds of joining holes, and of growing disks.
+const ROUNDS: usize = 8;
 /// Least edges of a boundary that is to have four corners, and some freedom.
 const LEAST_EDGES: usize = 8;
+/// What faces are left at least that need not be seen, in steps of texture coordinates.
+const THIN: f64 = 16.0;
 /// Places from which cuts across a disk are tried.
 const TRIALS: usize = 96;
 /// Part of the boundary that a cut across a disk should leave on either side.
@@ -106,6 +111,43 @@ impl Prepared {
             self.disks = disks;
         }
         any
+    }
+
+    /// Halves some disks, and of their parts again those that `bent` names, that often at most; gives whether any was. What `bent` is given has these parts as its only disks.
+    ///
+    /// # Errors
+    /// What `bent` gives.
+    pub fn halve_apart(
+        &mut self,
+        which: &[usize],
+        rounds: usize,
+        bent: &dyn Fn(&Prepared) -> Result<Vec<usize>>,
+    ) -> Result<bool> {
+        let home = self.labels.disk.clone();
+        let all = std::mem::take(&mut self.disks);
+        let mut name = vec![NO_DISK; all.len()];
+        which.iter().zip(0..).for_each(|(d, k)| name[*d] = k);
+        self.labels.disk.iter_mut().filter(|d| **d != NO_DISK).for_each(|d| *d = name[*d as usize]);
+        self.disks = which.iter().map(|d| all[*d].clone()).collect();
+        let those: Vec<usize> = (0..which.len()).collect();
+        let any = self.halve(&those);
+        let again = if any && rounds > 1 { bent(self)? } else { Vec::new() };
+        if !again.is_empty() {
+            self.halve_apart(&again, rounds - 1, bent)?;
+        }
+        // The others, which may have got faces where they have an edge in common with these.
+        let worked = std::mem::take(&mut self.disks);
+        for faces in Charts::new(self.mesh.topology()).faces {
+            let known = faces.iter().filter_map(|f| home.get(f.index()));
+            let of = match self.labels.disk[faces[0].index()] {
+                NO_DISK => known.copied().find(|d| *d != NO_DISK).map(|d| &all[d as usize]),
+                own => worked.get(own as usize),
+            };
+            let Some(of) = of else { continue };
+            faces.iter().for_each(|f| self.labels.disk[f.index()] = self.disks.len() as u32);
+            self.disks.push(Disk { faces, ..of.clone() });
+        }
+        Ok(any)
     }
 
     /// Where to cut a disk in two.
@@ -299,21 +341,27 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
     let density_of: Vec<f64> = charts.faces.iter().map(|faces| density(atlas, faces)).collect();
     let density_by_face: Vec<f64> = charts.of_face.iter().map(|c| density_of[c.index()]).collect();
     mesh.divide_by_chart(|f| charts.of_face[f.index()].0);
+    let mut opened = divide_windings(&mut mesh, held);
     divide_fans(&mut mesh, held);
-    let mut opened = 0;
-    for _ in 0..8 {
+    for _ in 0..ROUNDS {
         interrupt()?;
         let cuts = open_holes(&mesh, held);
         if cuts.is_empty() {
             break;
         }
         opened += cuts.len();
-        let path: Vec<HalfEdge> = cuts.into_iter().flatten().collect();
-        mesh.cut(&path);
+        mesh.cut(&cuts.concat());
         divide_fans(&mut mesh, held);
     }
-    opened += grow_disks(&mut mesh, held);
-    divide_fans(&mut mesh, held);
+    // Where several faces meet at an edge, two of them may hang together only when others have been divided off.
+    for _ in 0..ROUNDS {
+        interrupt()?;
+        match grow_disks(&mut mesh, held) {
+            0 => break,
+            grown => opened += grown,
+        }
+        divide_fans(&mut mesh, held);
+    }
     let mut labels = Labels { disk: vec![NO_DISK; atlas.face_count()], origin: atlas.faces().collect() };
     // Boundaries with room for corners.
     for _ in 0..3 {
@@ -325,11 +373,12 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
     }
     let held = |f: FaceId| held.get(f.index()).copied().unwrap_or(false);
     let charts = Charts::new(mesh.topology());
+    let thin = THIN / rounding::STEPS * Bounds::around(atlas.uv.iter().copied()).size().max_element();
     let mut disks = Vec::new();
     for faces in charts.faces.into_iter().filter(|faces| !held(faces[0])) {
         // What is nowhere to be seen needs no texels, and may lie as it does.
         if !faces.iter().any(|f| is_shape(&flattened(mesh.atlas().triangle(*f)))) {
-            shrink(&mut mesh, &faces);
+            shrink(&mut mesh, &faces, thin);
             continue;
         }
         faces.iter().for_each(|f| labels.disk[f.index()] = disks.len() as u32);
@@ -376,11 +425,16 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
     Ok(prepared)
 }
 
-/// Makes a chart small that has no area on the surface: no longer than a square of its area in the layout, or a texel.
-fn shrink(mesh: &mut Mesh, faces: &[FaceId]) {
+/// Makes a chart small that has no area on the surface: no longer than a square of its area in the layout, or a texel, and no thinner than `least`.
+fn shrink(mesh: &mut Mesh, faces: &[FaceId], least: f64) {
     let own = Bounds::around(faces.iter().flat_map(|f| mesh.atlas().uv_triangle(*f)));
     let area: f64 = faces.iter().map(|f| mesh.atlas().uv_area(*f).abs()).sum();
-    let scale = area.sqrt().max(1.0) / own.size().max_element();
+    let height = |f: &FaceId| {
+        let [a, b, c] = mesh.atlas().uv_triangle(*f);
+        2.0 * mesh.atlas().uv_area(*f).abs() / a.distance(b).max(b.distance(c)).max(c.distance(a))
+    };
+    let thinnest = faces.iter().map(height).filter(|h| *h > 0.0).fold(f64::INFINITY, f64::min);
+    let scale = (area.sqrt().max(1.0) / own.size().max_element()).max(least / thinnest);
     if scale.is_finite() && scale < 1.0 {
         for u in sorted_unique(faces.iter().flat_map(|f| mesh.atlas().corners[f.index()])) {
             let at = mesh.position(u);
@@ -426,7 +480,31 @@ pub(super) fn divide_fans(mesh: &mut Mesh, held: &[bool]) {
     mesh.divide(&parts);
 }
 
-/// By chart with several boundary loops and no handle: the shortest path of edges from its longest loop to another.
+/// The half edge across a UV edge, where the faces on both sides are wound alike.
+fn twin_wound_alike(mesh: &Mesh, half_edge: HalfEdge) -> Option<HalfEdge> {
+    mesh.topology().uv_twin(half_edge).filter(|twin| mesh.uv_ends(half_edge) != mesh.uv_ends(*twin))
+}
+
+/// Divides charts where faces that are wound against each other meet; gives how many charts that made.
+fn divide_windings(mesh: &mut Mesh, held: &[bool]) -> usize {
+    let charts = Charts::new(mesh.topology());
+    let mut sets = DisjointSets::new(mesh.atlas().face_count());
+    for h in mesh.topology().half_edges() {
+        let is_held = held.get(h.face().index()).copied().unwrap_or(false);
+        let twin = if is_held { mesh.topology().uv_twin(h) } else { twin_wound_alike(mesh, h) };
+        if let Some(twin) = twin {
+            sets.unite(h.face().0, twin.face().0);
+        }
+    }
+    let (number, parts) = sets.numbered();
+    let made = parts.len().saturating_sub(charts.len());
+    if made > 0 {
+        mesh.divide_by_chart(|f| number[f.index()]);
+    }
+    made
+}
+
+/// By chart with several boundary loops: a tree of edges that joins them, grown from its longest loop by the shortest path to the next.
 fn open_holes(mesh: &Mesh, held: &[bool]) -> Vec<Vec<HalfEdge>> {
     let held = |f: FaceId| held.get(f.index()).copied().unwrap_or(false);
     let charts = Charts::new(mesh.topology());
@@ -444,33 +522,38 @@ fn open_holes(mesh: &Mesh, held: &[bool]) -> Vec<Vec<HalfEdge>> {
             let own = by_chart.of(c as u32);
             let total = |l: u32| loops.half_edges[l as usize].iter().map(|h| length(*h)).sum::<f64>();
             let longest = own.iter().copied().max_by(|a, b| total(*a).total_cmp(&total(*b)).then(b.cmp(a)))?;
-            // Distances from the longest loop over the edges of the chart.
             let uvs = sorted_unique(charts.faces[c].iter().flat_map(|f| mesh.atlas().corners[f.index()]));
             let local = |u: UvId| uvs.partition_point(|x| *x < u);
+            let on = |l: u32| loops.half_edges[l as usize].iter().map(|h| local(mesh.uv_at(*h)));
             let mut on_loop = vec![u32::MAX; uvs.len()];
-            for &l in own {
-                loops.half_edges[l as usize].iter().for_each(|h| on_loop[local(mesh.uv_at(*h))] = l);
-            }
+            own.iter().for_each(|&l| on(l).for_each(|u| on_loop[u] = l));
+            // Distances from what is joined so far, over the edges of the chart.
             let mut distance = vec![f64::INFINITY; uvs.len()];
             let mut towards: Vec<Option<HalfEdge>> = vec![None; uvs.len()];
             let mut heap = BinaryHeap::new();
-            for u in (0..uvs.len()).filter(|u| on_loop[*u] == longest) {
-                distance[u] = 0.0;
-                heap.push(Reverse((Cost(0.0), u)));
-            }
-            while let Some(Reverse((Cost(at), u))) = heap.pop() {
+            let mut tree = Vec::new();
+            let mut joined = vec![longest];
+            let mut fresh: Vec<usize> = on(longest).collect();
+            loop {
+                for u in fresh.drain(..) {
+                    (distance[u], towards[u]) = (0.0, None);
+                    heap.push(Reverse((Cost(0.0), u)));
+                }
+                let Some(Reverse((Cost(at), u))) = heap.pop() else { break };
                 if at > distance[u] {
                     continue;
                 }
-                if on_loop[u] != u32::MAX && on_loop[u] != longest {
-                    let mut path = Vec::new();
+                if on_loop[u] != u32::MAX && !joined.contains(&on_loop[u]) {
+                    joined.push(on_loop[u]);
+                    fresh.extend(on(on_loop[u]));
                     let mut v = u;
                     while let Some(h) = towards[v] {
-                        path.push(h);
+                        tree.push(h);
+                        fresh.push(v);
                         let [a, b] = mesh.uv_ends(h).map(local);
                         v = if a == v { b } else { a };
                     }
-                    return Some(path);
+                    continue;
                 }
                 for corner in mesh.corners_of(uvs[u]) {
                     for h in [corner, corner.previous()] {
@@ -485,7 +568,7 @@ fn open_holes(mesh: &Mesh, held: &[bool]) -> Vec<Vec<HalfEdge>> {
                     }
                 }
             }
-            None
+            (!tree.is_empty()).then_some(tree)
         })
         .collect()
 }
@@ -522,8 +605,7 @@ fn grow_disks(mesh: &mut Mesh, held: &[bool]) -> usize {
                 let face = faces[f];
                 let half_edges = [0, 1, 2].map(|k| HalfEdge::of(face, k));
                 let shares = half_edges.map(|h| {
-                    topology
-                        .uv_twin(h)
+                    twin_wound_alike(mesh, h)
                         .and_then(|t| local(t.face()))
                         .is_some_and(|g| taken[g] && region[faces[g].index()] == own)
                 });
@@ -563,12 +645,15 @@ fn edge_of(mesh: &Mesh, half_edge: HalfEdge) -> [UvId; 2] {
 
 /// Whether faces of one chart are a disk that can be laid flat: one boundary loop, no handle, and no two edges between the same vertices.
 fn is_disk(mesh: &Mesh, faces: &[FaceId]) -> bool {
+    let all = || faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k)));
+    let topology = mesh.topology();
+    if all().any(|h| topology.uv_twin(h).is_some() && twin_wound_alike(mesh, h).is_none()) {
+        return false;
+    }
     if boundary(mesh, faces).is_none() {
         return false;
     }
     let uvs = sorted_unique(faces.iter().flat_map(|f| mesh.atlas().corners[f.index()]));
-    let topology = mesh.topology();
-    let all = || faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k)));
     let borders = all().filter(|h| topology.is_border(*h)).count();
     let edges = (3 * faces.len() + borders) / 2;
     // Hangs together over its edges, and not by a non-manifold one.

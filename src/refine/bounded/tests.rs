@@ -266,6 +266,65 @@ fn what_is_no_disk_is_opened_and_what_folds_is_flattened_anew() {
 }
 
 #[test]
+fn faces_wound_against_each_other_become_disks_of_their_own() {
+    // A patch inside, and a strip whose ends meet as those of a Moebius strip do.
+    let mut start = shape(8, 8, |_, _| false, 0.2);
+    for f in start.faces().filter(|f| (3..5).contains(&(f.index() / 2 % 8)) && (2..6).contains(&(f.index() / 16))) {
+        start.corners[f.index()].swap(1, 2);
+        start.surface.triangles[f.index()].swap(1, 2);
+    }
+    let points: Vec<DVec2> = (0..10).map(|k| DVec2::new(40.0 + f64::from(k / 2), f64::from(k % 2))).collect();
+    // What comes after the tenth is the second and the first.
+    let twisted = |k: u32| UvId(if k < 10 { k } else { 11 - k });
+    let order = |k: u32| if k % 2 == 0 { [k, k + 2, k + 1] } else { [k, k + 1, k + 2] };
+    let strip: Vec<[UvId; 3]> = (0..10).map(|k| order(k).map(twisted)).collect();
+    let start = join(&start, &made(points, strip));
+    let held = vec![false; start.face_count()];
+    let prepared = prepare(&start, &held, &|| Ok(())).unwrap();
+    assert!(prepared.disks.len() >= 4, "{}", prepared.disks.len());
+    let maps: Vec<_> = prepared.disks.iter().map(|d| prepared.map(d, Target::Surface)).collect();
+    assert!(maps.iter().all(|map| map.as_ref().is_some_and(|map| map.is_valid())), "all are disks without folds");
+    let faces: usize = prepared.disks.iter().map(|d| d.faces.len()).sum();
+    assert_eq!(faces, prepared.mesh.atlas().face_count());
+}
+
+#[test]
+fn a_sieve_becomes_one_disk() {
+    let start = shape(25, 25, |x, y| x % 2 == 1 && y % 2 == 1, 0.1);
+    let prepared = prepare(&start, &vec![false; start.face_count()], &|| Ok(())).unwrap();
+    assert_eq!(prepared.disks.len(), 1);
+    let map = prepared.map(&prepared.disks[0], Target::Surface).unwrap();
+    let borders: usize = 4 * 25 + 4 * 144;
+    // From hole to hole it is one edge.
+    assert_eq!(map.boundary.len(), borders + 2 * 144);
+    let (staged, _) = run(&start, &Bounded::default(), &options(0, OverlapMode::Separate));
+    is_packed(&staged, 0.8);
+}
+
+#[test]
+fn halving_some_disks_leaves_the_others() {
+    let start = join(
+        &join(&sheet(8, 6, DVec2::ZERO), &sheet(6, 6, DVec2::new(20.0, 0.0))),
+        &sheet(4, 6, DVec2::new(40.0, 0.0)),
+    );
+    let mut prepared = prepare(&start, &vec![false; start.face_count()], &|| Ok(())).unwrap();
+    let asked = std::cell::RefCell::new(Vec::new());
+    let first = |own: &Prepared| {
+        asked.borrow_mut().push(own.disks.len());
+        Ok(vec![0])
+    };
+    assert!(prepared.halve_apart(&[1], 3, &first).unwrap());
+    assert_eq!(*asked.borrow(), [2, 2], "it is asked about the parts alone");
+    assert_eq!(prepared.disks.len(), 2 + 4);
+    let faces: usize = prepared.disks.iter().map(|d| d.faces.len()).sum();
+    assert_eq!(faces, prepared.mesh.atlas().face_count());
+    for (d, disk) in prepared.disks.iter().enumerate() {
+        assert!(disk.faces.iter().all(|f| prepared.labels.disk[f.index()] as usize == d));
+        assert!(prepared.map(disk, Target::Surface).is_some());
+    }
+}
+
+#[test]
 fn stacks_stay_together_and_gutters_stay_free() {
     let one = shape(6, 6, |x, y| x >= 3 && y >= 3, 0.2);
     let mut start = join(&join(&one, &one), &sheet(5, 3, DVec2::new(40.0, 0.0)));
