@@ -276,7 +276,7 @@ fn faces_wound_against_each_other_become_disks_of_their_own() {
     let points: Vec<DVec2> = (0..10).map(|k| DVec2::new(40.0 + f64::from(k / 2), f64::from(k % 2))).collect();
     // What comes after the tenth is the second and the first.
     let twisted = |k: u32| UvId(if k < 10 { k } else { 11 - k });
-    let order = |k: u32| if k % 2 == 0 { [k, k + 2, k + 1] } else { [k, k + 1, k + 2] };
+    let order = |k: u32| if k.is_multiple_of(2) { [k, k + 2, k + 1] } else { [k, k + 1, k + 2] };
     let strip: Vec<[UvId; 3]> = (0..10).map(|k| order(k).map(twisted)).collect();
     let start = join(&start, &made(points, strip));
     let held = vec![false; start.face_count()];
