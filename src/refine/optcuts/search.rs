@@ -21,6 +21,9 @@ use crate::packing::Random;
 
 /// How far below the bound the dual aims.
 pub(super) const SLACK: f64 = 1e-3;
+/// The dual at first, in parts of what the first map misses the bound by, where eq. 7 would have it at 1. On 22 surfaces 1, 5, 10 and 40 give seams of .945, .912,
+/// .922 and .947 of the published program's.
+const FIRST_DUAL: f64 = 5.0;
 /// Vertices within so many edges of an operation move in its local steps.
 const RINGS: usize = 6;
 /// Part of the border vertices that are asked for splits, as an exponent (section 5.3).
@@ -427,7 +430,7 @@ impl<'a> Search<'a> {
             Quality::Balanced => (BALANCED / self.map.rest.len() as f64).clamp(0.1, 1.5),
             Quality::Best => BEST,
         };
-        self.lambda = (self.distortion - self.bound).max(0.0);
+        self.lambda = FIRST_DUAL * (self.distortion - self.bound).max(0.0);
         self.descend(usize::MAX, f64::INFINITY)?;
         self.trim()?;
         self.visit();
