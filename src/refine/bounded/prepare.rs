@@ -1,7 +1,7 @@
 //! Charts become disks first: the construction is for maps of disks without flips (section 3, *Inputs*).
 //!
-//! Charts that overlap themselves stay as they are. Faces that are wound against each other do not hang together. A vertex at which parts of a chart meet becomes several; a chart with holes is cut from hole to hole
-//! along short paths of edges; what is closed or has handles is grown into disks face by face; a chart in which faces are turned over gets
+//! Charts that overlap themselves stay as they are. Faces that are wound against each other do not hang together. A vertex at which parts
+//! of a chart meet becomes several; a chart with holes is cut from hole to hole along short paths of edges; what is closed or has handles is grown into disks face by face; a chart in which faces are turned over gets
 //! a map of its own (Tutte 1963, then the least distortion).
 
 use std::cmp::Reverse;
@@ -13,7 +13,6 @@ use rayon::prelude::*;
 use super::chart_map::ChartMap;
 use crate::atlas::bvh::Bounds;
 use crate::atlas::groups::{Cost, DisjointSets, Grouped, sorted_unique};
-use crate::atlas::rounding;
 use crate::atlas::{
     Atlas, Charts, FaceId, HalfEdge, Loops, Mesh, Provenance, TrailEnd, TrailPoint, TrailStart, UvId, orientation,
 };
@@ -26,8 +25,6 @@ use crate::numeric::tutte;
 const ROUNDS: usize = 8;
 /// Least edges of a boundary that is to have four corners, and some freedom.
 const LEAST_EDGES: usize = 8;
-/// What faces are left at least that need not be seen, in steps of texture coordinates.
-const THIN: f64 = 16.0;
 /// Places from which cuts across a disk are tried.
 const TRIALS: usize = 96;
 /// Part of the boundary that a cut across a disk should leave on either side.
@@ -373,12 +370,11 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
     }
     let held = |f: FaceId| held.get(f.index()).copied().unwrap_or(false);
     let charts = Charts::new(mesh.topology());
-    let thin = THIN / rounding::STEPS * Bounds::around(atlas.uv.iter().copied()).size().max_element();
     let mut disks = Vec::new();
     for faces in charts.faces.into_iter().filter(|faces| !held(faces[0])) {
         // What is nowhere to be seen needs no texels, and may lie as it does.
         if !faces.iter().any(|f| is_shape(&flattened(mesh.atlas().triangle(*f)))) {
-            shrink(&mut mesh, &faces, thin);
+            shrink(&mut mesh, &faces);
             continue;
         }
         faces.iter().for_each(|f| labels.disk[f.index()] = disks.len() as u32);
@@ -425,16 +421,11 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
     Ok(prepared)
 }
 
-/// Makes a chart small that has no area on the surface: no longer than a square of its area in the layout, or a texel, and no thinner than `least`.
-fn shrink(mesh: &mut Mesh, faces: &[FaceId], least: f64) {
+/// Makes a chart small that has no area on the surface: no longer than a square of its area in the layout, or a texel.
+fn shrink(mesh: &mut Mesh, faces: &[FaceId]) {
     let own = Bounds::around(faces.iter().flat_map(|f| mesh.atlas().uv_triangle(*f)));
     let area: f64 = faces.iter().map(|f| mesh.atlas().uv_area(*f).abs()).sum();
-    let height = |f: &FaceId| {
-        let [a, b, c] = mesh.atlas().uv_triangle(*f);
-        2.0 * mesh.atlas().uv_area(*f).abs() / a.distance(b).max(b.distance(c)).max(c.distance(a))
-    };
-    let thinnest = faces.iter().map(height).filter(|h| *h > 0.0).fold(f64::INFINITY, f64::min);
-    let scale = (area.sqrt().max(1.0) / own.size().max_element()).max(least / thinnest);
+    let scale = area.sqrt().max(1.0) / own.size().max_element();
     if scale.is_finite() && scale < 1.0 {
         for u in sorted_unique(faces.iter().flat_map(|f| mesh.atlas().corners[f.index()])) {
             let at = mesh.position(u);
