@@ -1,23 +1,23 @@
 //! Prints what the stage `bounded` reaches on the OBJ models at hand, those of `uv/` as they come and those of `meshes/` after `unwrap` of
 //! quality `fast`: packing efficiency, charts, 3D length of the seams, distortion (1 is isometric), and the seconds of the stage; at the end
-//! the means. With `--ablations` the tables of *Atlas Refinement with Bounded Packing Efficiency*: means by sigma, by bound, and with and
-//! without gaps.
+//! the means. With `--ablations` the tables of *Atlas Refinement with Bounded Packing Efficiency*: means by sigma, by bound, with and
+//! without gaps, by how cuts run, and the distortion of a half that matters a hundred times as much as the other.
 //!
 //! `cargo bench --bench bounded [-- PART-OF-A-NAME] [--most-faces=N] [--bound=.8] [--gutter=0] [--search=paper] [--sigma=.004]
-//! [--keep-mapping] [--energy=uploaded] [--ablations]`; models lie in `INTARSIA_DATA`, or in `../shared/data`. `uv/` and `meshes/` are parts of
+//! [--cuts=edges] [--keep-mapping] [--energy=uploaded] [--ablations]`; models lie in `INTARSIA_DATA`, or in `../shared/data`. `uv/` and `meshes/` are parts of
 //! names too. Every other parameter of an ablation is what the flags say.
 
 mod common;
 
 use std::path::Path;
 
-use intarsia::asset::{File, UvSet, read_paths};
-use intarsia::atlas::OverlapMode;
+use intarsia::asset::{File, Limits, MaterialIndex, UvSet, load, read, read_paths};
+use intarsia::atlas::{Atlas, FaceId, OverlapMode};
 use intarsia::context::Context;
 use intarsia::packing::Gutter;
-use intarsia::refine::bounded::params::{Bounded, Energy, Search};
+use intarsia::refine::bounded::params::{Bounded, Cuts, Energy, Search};
 use intarsia::refine::optcuts::params::{OptCuts, Quality};
-use intarsia::refine::options::{IfLarger, Options};
+use intarsia::refine::options::{IfLarger, ImportanceSource, Options};
 use intarsia::refine::stage::Stage;
 
 /// Texels between charts where an ablation has gaps and no flag says how wide they are.
@@ -68,10 +68,12 @@ fn main() {
     let sigma = |sigma: f64| (format!("sigma {sigma}"), with(Bounded { sigma, ..own.params.clone() }));
     let bound = |b: f64| (format!("bound {b:.2}"), with(Bounded { packing_efficiency: b, ..own.params.clone() }));
     let gap = |gutter: u32| (format!("gutter {gutter}"), Variant { gutter, ..own.clone() });
+    let cuts = |name: &str, cuts: Cuts| (name.to_owned(), with(Bounded { cuts, ..own.params.clone() }));
     let tables = [
         ("boundary smoothing", [0.001, 0.004, 0.006].map(sigma).to_vec()),
         ("bounds", [0.8, 0.85, 0.9].map(bound).to_vec()),
         ("gaps", [0, if own.gutter > 0 { own.gutter } else { GAP }].map(gap).to_vec()),
+        ("cuts", vec![cuts("straight", Cuts::Straight), cuts("along edges", Cuts::Edges)]),
     ];
     // What the tables have in common is refined once.
     let mut known: Vec<(Variant, Vec<Row>)> = Vec::new();
@@ -90,6 +92,104 @@ fn main() {
             }
         }
     }
+    local_control(&own);
+}
+
+/// Distortion of the halves of each model of `uv/`, above and below the middle of its height, where both matter alike and where the upper one
+/// matters a hundred times as much: 1 is isometric.
+fn local_control(own: &Variant) {
+    let filter = common::filter();
+    let (folder, paths) = common::models(&["uv"]);
+    println!("\n{:30} {:>8} {:>8} | {:>8} {:>8}", "local control: E_d of halves", "upper", "lower", "upper", "lower");
+    println!("{:30} {:>17} | {:>17}", "", "alike", "the upper 100x");
+    let mut rows: Vec<[f64; 4]> = Vec::new();
+    for path in paths.iter().filter(|p| p.extension().is_some_and(|e| e == "obj")) {
+        let name = path.strip_prefix(&folder).unwrap_or(path).with_extension("").display().to_string();
+        let Some(painted) = painted(path).filter(|_| name.contains(&filter)) else { continue };
+        let halves = |importance: Option<ImportanceSource>| {
+            let options = Options { importance, ..options(own, UvSet::Number(0)) };
+            halves(&painted, &options)
+        };
+        let weighted = Some(ImportanceSource::Attribute("COLOR_0.r".to_owned()));
+        match halves(None).and_then(|alike| Ok([alike, halves(weighted)?])) {
+            Ok([alike, weighted]) => {
+                let row = [alike[0], alike[1], weighted[0], weighted[1]];
+                println!("{:30.30} {}", common::short(&name), in_columns(&row));
+                rows.push(row);
+            }
+            Err(error) => println!("{:30.30} {error}", common::short(&name)),
+        }
+    }
+    let mean = |k: usize| rows.iter().map(|r| r[k]).sum::<f64>() / rows.len() as f64;
+    println!("{:30} {}", format!("means of {}", rows.len()), in_columns(&[0, 1, 2, 3].map(mean)));
+}
+
+fn in_columns([a, b, c, d]: &[f64; 4]) -> String {
+    format!("{a:8.4} {b:8.4} | {c:8.4} {d:8.4}")
+}
+
+/// An OBJ model as one file whose vertices are white above the middle of its height and black below.
+fn painted(path: &Path) -> Option<Vec<File>> {
+    let text = std::fs::read_to_string(path).ok()?;
+    let vertex = |line: &str| -> Option<[f64; 3]> {
+        let mut numbers = line.strip_prefix("v ")?.split_whitespace().map(|w| w.parse::<f64>().ok());
+        Some([numbers.next()??, numbers.next()??, numbers.next()??])
+    };
+    let middle = middle(text.lines().filter_map(vertex).map(|[_, y, _]| y));
+    let line = |line: &str| match vertex(line) {
+        Some([x, y, z]) => {
+            let colour = if y > middle { 1 } else { 0 };
+            format!("v {x} {y} {z} {colour} {colour} {colour}\n")
+        }
+        None => format!("{line}\n"),
+    };
+    let bytes = text.lines().map(line).collect::<String>().into_bytes();
+    Some(vec![File { path: "painted.obj".to_owned(), bytes }])
+}
+
+/// Halfway between the least and the greatest.
+fn middle(values: impl Iterator<Item = f64>) -> f64 {
+    let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), y| (a.min(y), b.max(y)));
+    0.5 * (least + most)
+}
+
+/// The distortion of the upper and the lower half of what becomes of a model.
+fn halves(files: &[File], options: &Options) -> Result<[f64; 2], String> {
+    let (outcome, _) = common::run(files.to_vec(), options, &Context::silent())?;
+    let model = outcome.artifacts.into_iter().find(|a| a.role == "model").ok_or("there is no model")?;
+    let files = [File { path: "model.glb".to_owned(), bytes: model.bytes }];
+    let (doc, _) = load(&files, None, &Limits::default()).map_err(|e| e.to_string())?;
+    let index = MaterialIndex::new(&doc).map_err(|e| e.to_string())?;
+    let sets = read(&doc, &index, options.atlas.reading(), &Context::silent()).map_err(|e| e.to_string())?;
+    let atlas = sets.into_iter().next().ok_or("there is no atlas")?.atlas;
+    let middle = middle(atlas.surface.positions.iter().map(|p| p.y));
+    // At the scale at which the areas are the same.
+    let area = |of: &dyn Fn(FaceId) -> f64| atlas.faces().map(of).sum::<f64>();
+    let scale = area(&|f| atlas.area(f)) / area(&|f| atlas.uv_area(f).abs());
+    let mut sums = [[0.0; 2]; 2];
+    for face in atlas.faces() {
+        let Some(energy) = energy(&atlas, face, scale) else { continue };
+        let height = atlas.triangle(face).iter().map(|p| p.y).sum::<f64>() / 3.0;
+        let own = &mut sums[usize::from(height <= middle)];
+        own[0] += energy * atlas.area(face);
+        own[1] += atlas.area(face);
+    }
+    Ok(sums.map(|[sum, area]| sum / area))
+}
+
+/// Symmetric Dirichlet energy of a face over that of one that keeps its shape, where areas in the layout are `scale` times what they are there.
+fn energy(atlas: &Atlas, face: FaceId, scale: f64) -> Option<f64> {
+    let [p, q, r] = atlas.triangle(face);
+    let [a, b, c] = atlas.uv_triangle(face);
+    let ((e, f), (u, v)) = ((q - p, r - p), (b - a, c - a));
+    let gram = e.length_squared() * f.length_squared() - e.dot(f).powi(2);
+    let determinant = u.perp_dot(v).powi(2) * scale * scale;
+    let norm = scale
+        * (f.length_squared() * u.length_squared() - 2.0 * e.dot(f) * u.dot(v)
+            + e.length_squared() * v.length_squared())
+        / gram;
+    let energy = 0.25 * norm * (1.0 + gram / determinant);
+    energy.is_finite().then_some(energy)
 }
 
 /// What the flags ask for.
@@ -100,6 +200,7 @@ fn variant(flags: &[String]) -> Variant {
     let params = Bounded {
         packing_efficiency: number("--bound").unwrap_or(usual.packing_efficiency),
         sigma: number("--sigma").unwrap_or(usual.sigma),
+        cuts: if value("--cuts") == Some("edges") { Cuts::Edges } else { Cuts::Straight },
         keep_mapping: flags.iter().any(|f| f == "--keep-mapping"),
         energy: if value("--energy") == Some("uploaded") { Energy::Uploaded } else { Energy::Surface },
         search: if value("--search") == Some("paper") { Search::Paper } else { Search::Default },
@@ -169,13 +270,19 @@ fn rows(models: &[Model], variant: &Variant) -> Vec<Row> {
     rows
 }
 
-fn refined(model: &Model, variant: &Variant) -> Result<Row, String> {
+/// What is asked for.
+fn options(variant: &Variant, uv_set: UvSet) -> Options {
     let mut options = Options::preset(Bounded::NAME);
     options.pack.gutter = Gutter::Texels(variant.gutter);
     options.atlas.overlaps = OverlapMode::Separate;
     options.atlas.if_larger = IfLarger::Accept;
-    options.atlas.uv_set = model.uv_set;
+    options.atlas.uv_set = uv_set;
     options.stages.set(variant.params.clone());
+    options
+}
+
+fn refined(model: &Model, variant: &Variant) -> Result<Row, String> {
+    let options = options(variant, model.uv_set);
     let context = Context::silent();
     let (outcome, _) = common::run(model.files.clone(), &options, &context)?;
     let timings = context.timings();

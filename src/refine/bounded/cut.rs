@@ -36,7 +36,7 @@ pub(super) fn cut_chart(
         let length = motorcycle.length + 100.0 * snap;
         let cut = mesh.cut_trail(TrailStart::Corner(corner), direction, length, snap);
         labels.extend(&cut.faces);
-        straighten(mesh, &cut.path, motorcycle.direction);
+        straighten(mesh, &cut.path, motorcycle.direction, &labels.disk, own);
     }
 }
 
@@ -158,12 +158,13 @@ fn leads_into(mesh: &Mesh, corner: HalfEdge, direction: DVec2) -> bool {
     a >= 0.0 && b >= 0.0 && (a > 0.0 || (q - p).dot(direction) > 0.0) && (b > 0.0 || (r - p).dot(direction) > 0.0)
 }
 
-/// Puts the vertices of a cut on one line.
-fn straighten(mesh: &mut Mesh, path: &[HalfEdge], direction: usize) {
+/// Puts the vertices of a cut on one line: those of its own disk, as other charts may meet its edges on the surface.
+fn straighten(mesh: &mut Mesh, path: &[HalfEdge], direction: usize, disk: &[u32], own: u32) {
     let axis = 1 - direction % 2;
     let vertices: Vec<UvId> = path
         .iter()
         .flat_map(|h| [Some(*h), mesh.topology().across_seam(*h)].into_iter().flatten())
+        .filter(|h| disk[h.face().index()] == own)
         .flat_map(|h| mesh.uv_ends(h))
         .collect();
     let Some(first) = vertices.first() else { return };
