@@ -7,6 +7,7 @@ use std::borrow::Cow;
 
 use chardetng::{EncodingDetector, Iso2022JpDetection, Utf8Detection};
 use encoding_rs::{BIG5, EUC_KR, Encoding, GBK, SHIFT_JIS, WINDOWS_1252};
+use unicode_normalization::UnicodeNormalization;
 
 /// Stands for byte 0; the other bytes follow.
 const FIRST: u32 = 0x0010_F700;
@@ -78,10 +79,12 @@ pub(crate) fn encoding<'a>(names: impl Iterator<Item = &'a str>) -> Option<&'sta
     (!kept.is_empty()).then(|| guess(kept.iter().map(|name| &**name)))
 }
 
-/// What a name may read, the probable first; nothing where it is UTF-8 and reads as it is.
+/// What a name may read, the probable first. One that is UTF-8 reads as it is: other spellings of it have accents with their letters or apart from them
+/// (NFC, NFD), as some file systems write all names.
 pub(crate) fn readings(name: &str) -> Vec<String> {
     if !is_kept(name) {
-        return Vec::new();
+        let spellings = [name.nfc().collect::<String>(), name.nfd().collect()];
+        return spellings.into_iter().filter(|spelling| spelling != name).collect();
     }
     let bytes = bytes(name);
     let decoded = |e: &&'static Encoding| e.decode_without_bom_handling_and_without_replacement(&bytes);
@@ -134,7 +137,9 @@ mod tests {
             assert_eq!(name.matches(['/', '\\']).count(), 1, "{text}: a byte of a character separates nothing");
         }
         let plain = from_bytes("größe.png".as_bytes());
-        assert_eq!((plain.as_str(), readings(&plain).len()), ("größe.png", 0));
+        assert_eq!((plain.as_str(), readings(&plain)), ("größe.png", vec!["gro\u{308}ße.png".to_owned()]));
+        assert_eq!(readings("gro\u{308}ße.png"), ["größe.png"]);
+        assert_eq!(readings("wall.png"), Vec::<String>::new());
         let packed = from_bytes(b"gr\x94\xe1e.png");
         assert!(readings(&packed).contains(&"größe.png".to_owned()), "{:?}", readings(&packed));
         assert_eq!(CODE_PAGE_437.chars().count(), 128);

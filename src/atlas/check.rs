@@ -103,6 +103,19 @@ const SLACK: f64 = 1e-9;
 /// Checks `after` against `before`, the atlas as uploaded (whose faces provenance names). The violations are in the order
 /// of the list above, at most 100 of a kind; those that would make later checks meaningless end it.
 pub fn check(before: &Atlas, after: &Atlas, exactness: Exactness) -> Result<(), Vec<Violation>> {
+    check_with(before, after, exactness, false)
+}
+
+/// The same; where `self_overlaps`, faces of one chart may lie on each other, as the user asked for it.
+///
+/// # Errors
+/// What is wrong.
+pub fn check_with(
+    before: &Atlas,
+    after: &Atlas,
+    exactness: Exactness,
+    self_overlaps: bool,
+) -> Result<(), Vec<Violation>> {
     let mut found = indices(before, after);
     if !found.is_empty() {
         return Err(found);
@@ -119,7 +132,7 @@ pub fn check(before: &Atlas, after: &Atlas, exactness: Exactness) -> Result<(), 
     found.extend(placement(before, after, exactness).take(LIMIT));
     if !found.iter().any(|v| matches!(v, Violation::NotFinite(_))) {
         found.extend(flips(before, after, exactness).into_iter().take(LIMIT));
-        found.extend(new_overlaps(before, after, exactness));
+        found.extend(new_overlaps(before, after, exactness, self_overlaps));
     }
     if found.is_empty() { Ok(()) } else { Err(found) }
 }
@@ -380,9 +393,22 @@ fn is_sliver(t: &[DVec2; 3], slack: f64) -> bool {
     2.0 * triangle_area(t) <= slack * longest
 }
 
-fn new_overlaps(before: &Atlas, after: &Atlas, exactness: Exactness) -> Vec<Violation> {
+fn new_overlaps(before: &Atlas, after: &Atlas, exactness: Exactness, self_overlaps: bool) -> Vec<Violation> {
     let slack = exactness.texels(extent(after));
+    // By face: its chart, as UV vertices join faces.
+    let charts = self_overlaps.then(|| {
+        let mut sets = DisjointSets::new(after.uv.len());
+        for corners in &after.corners {
+            sets.unite(corners[0].0, corners[1].0);
+            sets.unite(corners[0].0, corners[2].0);
+        }
+        sets.numbered().0
+    });
+    let chart = |f: FaceId| charts.as_ref().map(|charts| charts[after.corners[f.index()][0].index()]);
     let is_new = |a: FaceId, b: FaceId| {
+        if charts.is_some() && chart(a) == chart(b) {
+            return false;
+        }
         let (p, q) = (after.provenance[a.index()].source, after.provenance[b.index()].source);
         let had = p != q && before.has_layout() && before.page.get(p.index()) == before.page.get(q.index()) && {
             let (source, other) = (before.uv_triangle(p), before.uv_triangle(q));

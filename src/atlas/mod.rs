@@ -27,7 +27,7 @@ mod trail;
 pub use area::{Coverage, coverage, coverage_of_page};
 pub use charts::{Charts, Loops};
 pub(crate) use check::triangle_area;
-pub use check::{Exactness, Violation, check};
+pub use check::{Exactness, Violation, check, check_with};
 pub use clusters::{Clusters, OverlapMode, clusters};
 pub use edit::Move;
 pub(crate) use groups::find_root;

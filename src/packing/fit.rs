@@ -16,6 +16,8 @@ pub struct Fitted {
 
 /// Bisection steps on the scale: under half a percent is left.
 const STEPS: usize = 7;
+/// What a piece that is alone may leave of a sheet's side, in parts of it.
+const ALONE: f64 = 1e-3;
 /// Thorough searches after the bisection, each at the scale that the one before made room for.
 const REFINED: usize = 2;
 
@@ -41,10 +43,12 @@ pub fn pack_into(request: &Request<'_>, sheet: [f64; 2], largest: f64, context: 
             low = scale;
             best = Some(Fitted { packing: Packing { sheets: vec![sheet], ..packing }, scale });
             // What is left over tells how far the scale may grow at once.
-            if low >= largest {
+            // And a piece that is alone lies the same at every scale.
+            if low >= largest || request.pieces.len() == 1 && slack < 1.0 + ALONE {
                 break;
             }
-            scale = (scale * slack).max((low + high) / 2.0).min(high);
+            let middle = if request.pieces.len() == 1 { 0.0 } else { (low + high) / 2.0 };
+            scale = (scale * slack).max(middle).min(high);
         } else {
             high = scale;
             scale = (low + high) / 2.0;

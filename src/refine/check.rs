@@ -1,7 +1,7 @@
 //! Nothing broken ships: every stage's result is checked, and so is what was written.
 
 use crate::atlas::rounding::is_rounded;
-use crate::atlas::{Atlas, Exactness, Violation, check};
+use crate::atlas::{Atlas, Exactness, Violation, check_with};
 use crate::context::Context;
 use crate::error::{Failure, Result};
 
@@ -9,16 +9,19 @@ use crate::error::{Failure, Result};
 const ROUNDING: f64 = 1.2e-7;
 
 /// Checks a stage's result against the Atlas as uploaded, and one that is rounded already as what is written; the inner error says what is wrong.
+/// `self_overlaps` as in [`check_with`], here as below.
 ///
 /// # Errors
 /// `canceled`.
 pub(super) fn violations(
     before: &Atlas,
     after: &Atlas,
+    self_overlaps: bool,
     context: &Context,
 ) -> Result<std::result::Result<(), Vec<Violation>>> {
     context.check()?;
-    Ok(check(before, after, if is_rounded(after) { rounded(after, 0.0) } else { Exactness::Exact }))
+    let exactness = if is_rounded(after) { rounded(after, 0.0) } else { Exactness::Exact };
+    Ok(check_with(before, after, exactness, self_overlaps))
 }
 
 /// What is wrong, as far as it says something to people: how many triangles would show what they should not. The rest goes to the log.
@@ -44,18 +47,18 @@ pub(super) fn told(violations: &[Violation]) -> String {
 ///
 /// # Errors
 /// `canceled`.
-pub(super) fn within(before: &Atlas, after: &Atlas, step: f64, context: &Context) -> Result<bool> {
+pub(super) fn within(before: &Atlas, after: &Atlas, step: f64, self_overlaps: bool, context: &Context) -> Result<bool> {
     context.check()?;
-    Ok(check(before, after, rounded(after, step)).is_ok())
+    Ok(check_with(before, after, rounded(after, step), self_overlaps).is_ok())
 }
 
 /// Checks the Atlas that was read back from the written document, with texture coordinates on a grid of `step` texels, or on none.
 ///
 /// # Errors
 /// `internal` when it is broken, `canceled`.
-pub(super) fn written(before: &Atlas, after: &Atlas, step: f64, context: &Context) -> Result<()> {
+pub(super) fn written(before: &Atlas, after: &Atlas, step: f64, self_overlaps: bool, context: &Context) -> Result<()> {
     context.check()?;
-    check(before, after, rounded(after, step))
+    check_with(before, after, rounded(after, step), self_overlaps)
         .map_err(|wrong| Failure::internal(format!("the refined model is broken ({}), and is not delivered: the fault is Intarsia's, please report it with the model", told(&wrong))))
 }
 

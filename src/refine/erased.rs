@@ -32,6 +32,8 @@ pub trait AnyStage: Any + Debug + Send + Sync {
     fn is_shared(&self) -> bool;
     /// See [`Stage::NEEDS_LAYOUT`].
     fn needs_layout(&self) -> bool;
+    /// See [`Stage::may_overlap`].
+    fn may_overlap(&self) -> bool;
     /// See [`Stage::run`].
     ///
     /// # Errors
@@ -75,6 +77,10 @@ impl<S: Stage> AnyStage for S {
 
     fn needs_layout(&self) -> bool {
         S::NEEDS_LAYOUT
+    }
+
+    fn may_overlap(&self) -> bool {
+        Stage::may_overlap(self)
     }
 
     fn run(&self, input: &StageInput<'_>) -> Result<Staged> {

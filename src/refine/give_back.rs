@@ -32,6 +32,7 @@ pub(super) fn give_back(
     uploaded: &Atlas,
     result: Atlas,
     mut wrong: Vec<Violation>,
+    self_overlaps: bool,
 ) -> Result<Option<Mended>> {
     if !uploaded.has_layout() || !result.has_layout() {
         return Ok(None);
@@ -62,7 +63,7 @@ pub(super) fn give_back(
         let is_back = |f: FaceId| is_given[charts.of_face[f.index()].index()];
         let restored = restored(uploaded, &atlas, &charts, &is_back);
         atlas = lay_out(&StageInput { atlas: &restored, ..*input }, &[], &[], 1.0)?.0;
-        match check::violations(uploaded, &atlas, input.context)? {
+        match check::violations(uploaded, &atlas, self_overlaps, input.context)? {
             Ok(()) => return Ok(Some(Mended { atlas, charts: given })),
             Err(still) => wrong = still,
         }

@@ -53,6 +53,8 @@ pub(super) struct Refinement<'a> {
     pub slots: Vec<BakedSlot>,
     /// Texels by which texture coordinates were rounded, at most.
     pub step: f64,
+    /// Whether a stage was asked not to care for faces of one chart that lie on each other.
+    pub self_overlaps: bool,
 }
 
 /// An Atlas with its texture coordinates on a grid.
@@ -66,7 +68,16 @@ impl<'a> Refinement<'a> {
     /// Before any stage.
     pub fn untouched(group: &'a Group) -> Self {
         let atlas = group.set().atlas.clone();
-        Refinement { group, atlas, kept: true, partly: false, stages: Vec::new(), slots: Vec::new(), step: 0.0 }
+        Refinement {
+            group,
+            atlas,
+            kept: true,
+            partly: false,
+            stages: Vec::new(),
+            slots: Vec::new(),
+            step: 0.0,
+            self_overlaps: false,
+        }
     }
 
     /// What became of it.
@@ -103,9 +114,10 @@ impl<'a> Refinement<'a> {
         };
         let Staged { mut atlas, mut stopped_by, mut figures, mut kept } = step.stage.run(&input)?;
         let name = step.stage.name();
-        if let Err(wrong) = check::violations(&set.atlas, &atlas, context)? {
+        let self_overlaps = self.self_overlaps || step.stage.may_overlap() && sheet_info.is_virtual;
+        if let Err(wrong) = check::violations(&set.atlas, &atlas, self_overlaps, context)? {
             let (id, what) = (sheet_info.id, check::told(&wrong));
-            let Some(mended) = give_back(&input, &set.atlas, atlas, wrong)? else {
+            let Some(mended) = give_back(&input, &set.atlas, atlas, wrong, self_overlaps)? else {
                 let message = format!(
                     "{name} was undone for atlas {id}, which is as it was before: its layout would be broken ({what}). The fault is Intarsia's, please report it with the model; another recipe or seed may do"
                 );
@@ -133,6 +145,7 @@ impl<'a> Refinement<'a> {
         self.ran(name, stopped_by, figures);
         self.kept &= kept;
         self.atlas = atlas;
+        self.self_overlaps = self_overlaps;
         Ok(())
     }
 
@@ -181,7 +194,10 @@ impl<'a> Refinement<'a> {
                 let moved = self.atlas.uv.iter().zip(&atlas.uv).map(|(a, b)| (*a - *b).abs().max_element());
                 moved.fold(0.0, f64::max) <= MOST_MOVED
             };
-            if is_whole && is_close() && check::within(&self.group.set().atlas, &atlas, step, context)? {
+            if is_whole
+                && is_close()
+                && check::within(&self.group.set().atlas, &atlas, step, self.self_overlaps, context)?
+            {
                 return Ok(Some(Rounded { atlas, step }));
             }
             if steps >= STEPS {

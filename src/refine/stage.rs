@@ -26,6 +26,11 @@ pub trait Stage: Params {
     /// Whether it reads the UVs of its input. One that does leaves surfaces without texture coordinates.
     const NEEDS_LAYOUT: bool = true;
 
+    /// Whether faces of one chart may lie on each other in its result, because that was asked for: on sheets without images, where nothing is shown twice.
+    fn may_overlap(&self) -> bool {
+        false
+    }
+
     /// Refines the Atlas.
     ///
     /// # Errors

@@ -75,7 +75,7 @@ fn write_documents(
     context.step(0.3, "checking what was written")?;
     for (r, written) in refinements.iter_mut().zip(written).filter(|(r, _)| !r.kept) {
         let atlas = r.group.rejoin(&r.atlas, written);
-        check::written(&r.group.set().atlas, &atlas, r.step, context)?;
+        check::written(&r.group.set().atlas, &atlas, r.step, r.self_overlaps, context)?;
         r.atlas = atlas;
     }
     Ok(documents)

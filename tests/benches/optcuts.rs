@@ -6,10 +6,11 @@
 
 mod common;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use intarsia::asset::{File, Limits, MaterialIndex, load, read, read_paths};
+use intarsia::asset::{File, Limits, MaterialIndex, UvSet, load, read, read_paths};
 use intarsia::atlas::{Atlas, Charts, Topology, overlaps};
 use intarsia::context::Context;
 use intarsia::refine::optcuts::params::{MaxDistortion, OptCuts, Quality, Search};
@@ -200,10 +201,12 @@ fn children_seconds() -> f64 {
 fn one(path: &Path, params: &OptCuts) -> Value {
     let mut options = Options { recipe: Recipe::Preset("unwrap".to_owned()), ..Options::preset("unwrap") };
     options.stages.set(OptCuts { start: options.stages.get::<OptCuts>().start, ..params.clone() });
-    let files = read_paths(&[path.to_owned()]).expect("a model");
+    let mut files = read_paths(&[path.to_owned()]).expect("a model");
+    files.iter_mut().filter(|f| f.path.ends_with(".obj")).for_each(|f| f.bytes = vertices_apart(&f.bytes));
     let (outcome, _) = common::run(files, &options, &Context::silent()).expect("a layout");
     let model = outcome.artifacts.iter().find(|a| a.role == "model").expect("a model");
-    let atlas = written(&model.bytes);
+    let set = outcome.report["atlases"][0]["uv_sets"][0].as_u64().and_then(|set| u32::try_from(set).ok());
+    let atlas = written(&model.bytes, set.expect("a layout of its own"));
     let charts = Charts::new(&Topology::new(&atlas));
     let found = overlaps(&atlas, &charts, 1000);
     let deep =
@@ -215,11 +218,32 @@ fn one(path: &Path, params: &OptCuts) -> Value {
     figures
 }
 
-/// The Atlas of a written model.
-fn written(glb: &[u8]) -> Atlas {
+/// An OBJ file in which no two vertices are at one place. The authors' program knows vertices by their number: where two stand at one place its surface is
+/// open, and what is told of it is told of that surface. Each further one is moved by a millionth of the extent for each that it is.
+fn vertices_apart(obj: &[u8]) -> Vec<u8> {
+    let text = String::from_utf8_lossy(obj);
+    let vertex = |line: &str| -> Option<[f64; 3]> {
+        let mut numbers = line.strip_prefix("v ")?.split_whitespace().map(|w| w.parse::<f64>().ok());
+        Some([numbers.next()??, numbers.next()??, numbers.next()??])
+    };
+    let extent = text.lines().filter_map(vertex).flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
+    let mut known: BTreeMap<[u64; 3], u32> = BTreeMap::new();
+    let mut line = |line: &str| {
+        let Some([x, y, z]) = vertex(line) else { return format!("{line}\n") };
+        let count = known.entry([x, y, z].map(f64::to_bits)).or_default();
+        *count += 1;
+        format!("v {} {y} {z}\n", x + f64::from(*count - 1) * 1e-6 * extent)
+    };
+    text.lines().map(&mut line).collect::<String>().into_bytes()
+}
+
+/// The Atlas of a written model, by one of its TEXCOORD sets.
+fn written(glb: &[u8], set: u32) -> Atlas {
     let files = [File { path: "model.glb".to_owned(), bytes: glb.to_vec() }];
     let (doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
     let index = MaterialIndex::new(&doc).expect("the model is indexed");
-    let sets = read(&doc, &index, Options::default().atlas.reading(), &Context::silent()).expect("the model reads");
+    let mut options = Options::default();
+    options.atlas.uv_set = UvSet::Number(set);
+    let sets = read(&doc, &index, options.atlas.reading(), &Context::silent()).expect("the model reads");
     sets.into_iter().next().expect("an atlas").atlas
 }

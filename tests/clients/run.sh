@@ -1,12 +1,17 @@
 #!/usr/bin/env bash
-# Holds the OpenAPI document against its readers: run.sh [PROGRAM]. Checks it and its examples, generates a Python and a TypeScript client and
+# Holds the OpenAPI document against its readers: run.sh [PROGRAM], or run.sh --install for what it needs alone. Checks it and its examples, generates a Python and a TypeScript client and
 # runs both against a service of PROGRAM (target/debug/intarsia), then lets schemathesis try every call. Without Python or Node.js that part is
 # skipped, aloud.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
-program=$(realpath "${1:-$root/target/debug/intarsia}")
-[ -x "$program" ] || { echo "there is no $program: cargo build first" >&2; exit 2; }
+only_install=''
+if [ "${1:-}" = --install ]; then
+  only_install=yes
+else
+  program=$(realpath "${1:-$root/target/debug/intarsia}")
+  [ -x "$program" ] || { echo "there is no $program: cargo build first" >&2; exit 2; }
+fi
 work=$root/target/clients
 mkdir -p "$work"
 work=$(cd "$work" && pwd)
@@ -41,6 +46,8 @@ if command -v npm >/dev/null && node -e 'process.exit(+(parseInt(process.version
 else
   echo "SKIPPED: the TypeScript client and redocly (no Node.js of 20 or later with npm)" >&2
 fi
+
+[ -z "$only_install" ] || exit 0
 
 service=''
 trap '[ -z "$service" ] || kill "$service"; rm -rf "$work/data"' EXIT

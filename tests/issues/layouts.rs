@@ -2,6 +2,7 @@
 
 use intarsia::asset::{File, read_paths};
 use intarsia::context::Context;
+use intarsia::refine::optcuts::params::OptCuts;
 use intarsia::refine::options::Options;
 use intarsia::refine::{Input, Outcome, refine};
 use serde_json::Value;
@@ -86,4 +87,38 @@ fn surfaces_without_a_layout_stand_in_the_report_alone() {
     assert_eq!(refined, [true, false, false], "{atlases:#?}");
     assert!(atlases.iter().enumerate().all(|(i, a)| a["id"].as_u64() == Some(i as u64)));
     assert_eq!(outcome.verdict, Default::default());
+}
+
+/// A ramp of a turn and a half lies on itself once it is flat. Whoever allowed that got the surface back without a layout.
+#[test]
+fn a_layout_that_may_overlap_itself_is_delivered() {
+    let mut ramp = String::new();
+    let steps = 48;
+    for i in 0..=steps {
+        let turn = 3.0 * std::f64::consts::PI * f64::from(i) / f64::from(steps);
+        for radius in [1.0, 1.5, 2.0] {
+            ramp += &format!("v {} {} {}\n", radius * turn.cos(), radius * turn.sin(), 0.05 * turn);
+        }
+    }
+    for i in 0..steps {
+        for k in 1..3 {
+            let v = 3 * i + k;
+            ramp += &format!("f {v} {} {} {}\n", v + 1, v + 4, v + 3);
+        }
+    }
+    let unwrapped = |bijective: bool| {
+        let mut options = Options::preset("unwrap");
+        let own = options.stages.get::<OptCuts>();
+        options.stages.set(OptCuts { bijective, ..own });
+        let input = Input { models: vec![obj(&ramp)], ..Input::default() };
+        refine(&input, &options, &Context::silent()).unwrap_or_else(|failure| panic!("{failure}"))
+    };
+    let figure = |outcome: &Outcome, key: &str| outcome.report["model"]["after"][key].as_f64().expect("a figure");
+    let over = unwrapped(false);
+    assert_eq!((codes(&over.report), &over.report["outcome"]), (Vec::new(), &Value::from("refined")));
+    assert!(figure(&over, "overlap_fraction") > 0.1 && figure(&over, "seam_length") == 0.0);
+    assert!(figure(&over, "symmetric_dirichlet") < 4.001);
+    let apart = unwrapped(true);
+    assert_eq!(codes(&apart.report), Vec::<&str>::new());
+    assert!(figure(&apart, "overlap_fraction") < 1e-6 && figure(&apart, "symmetric_dirichlet") > 4.01, "it is bent");
 }

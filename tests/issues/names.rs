@@ -149,3 +149,21 @@ fn the_command_line_finds_files_by_the_bytes_of_their_names() {
     assert_eq!(json["materials"][0]["name"], "Wände");
     assert_eq!(json["meshes"][0]["name"], "möbel");
 }
+
+/// Some file systems write accents apart from their letters, most editors together with them: neither found the other's files.
+#[test]
+fn accents_apart_from_their_letters_are_the_same_name() {
+    let (together, apart) = ("gr\u{f6}\u{df}e.mtl", "gro\u{308}\u{df}e.mtl");
+    for (named, stored) in [(together, apart), (apart, together)] {
+        let [obj, mtl, png] = square(named.as_bytes(), b"wall", b"t.png");
+        let files = [("m.obj", &obj[..]), (stored, &mtl), ("T\u{301}/t.png", &png)];
+        let (doc, warnings) = opened(&files);
+        assert_eq!((warnings, doc.images.len()), (Vec::new(), 1), "{named:?}");
+        let folder = tempfile::tempdir().unwrap();
+        for (name, bytes) in [("m.obj", &obj), (stored, &mtl), ("t.png", &png)] {
+            std::fs::write(folder.path().join(name), bytes).unwrap();
+        }
+        let read = intarsia::asset::read_paths(&[folder.path().join("m.obj")]).unwrap();
+        assert_eq!(read.len(), 3, "{named:?}: {:?}", read.iter().map(|f| &f.path).collect::<Vec<_>>());
+    }
+}

@@ -1,12 +1,17 @@
 #!/usr/bin/env bash
-# Tries the page in a browser: run.sh [PROGRAM] [more arguments of page.py]. Installs Playwright and axe under target/page; the browser is the system's
+# Tries the page in a browser: run.sh [PROGRAM] [more arguments of page.py], or run.sh --install for what it needs alone. Installs Playwright and axe under target/page; the browser is the system's
 # Chromium. Without Python, npm or Chromium nothing is tried, aloud.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
-program=$(realpath "${1:-$root/target/debug/intarsia}")
-shift || true
-[ -x "$program" ] || { echo "there is no $program: cargo build first" >&2; exit 2; }
+only_install=''
+if [ "${1:-}" = --install ]; then
+  only_install=yes
+else
+  program=$(realpath "${1:-$root/target/debug/intarsia}")
+  shift || true
+  [ -x "$program" ] || { echo "there is no $program: cargo build first" >&2; exit 2; }
+fi
 work=$root/target/page
 mkdir -p "$work"
 
@@ -25,4 +30,5 @@ if [ ! -f "$work/node/node_modules/axe-core/axe.min.js" ]; then
   mkdir -p "$work/node"
   (cd "$work/node" && npm install --silent --no-audit --no-fund --prefix . axe-core@4)
 fi
+[ -z "$only_install" ] || exit 0
 exec "$python" "$here/page.py" "$program" --browser "$browser" --axe "$work/node/node_modules/axe-core/axe.min.js" --work "$work" "$@"

@@ -199,7 +199,7 @@ fn a_sliver_inside_another_face_is_no_new_overlap() {
     let corner = after.corners[2][2];
     after.uv[corner.index()].y += 1e-9;
     let found = |before: &Atlas, after: &Atlas| {
-        let all = new_overlaps(before, after, Exactness::Rounded(1e-6));
+        let all = new_overlaps(before, after, Exactness::Rounded(1e-6), false);
         all.iter().filter(|v| matches!(v, Violation::Overlap(_, FaceId(2)))).count()
     };
     assert_eq!(found(&before, &after), 0);
@@ -229,4 +229,21 @@ fn what_is_right_passes_and_what_the_input_had_wrong_too() {
         *uv = uv.as_vec2().as_dvec2();
     }
     assert_eq!(check(&before, &turned, Exactness::Rounded(1e-3)), Ok(()), "read back from float32");
+}
+
+#[test]
+fn charts_that_may_lie_on_themselves_may_not_lie_on_others() {
+    // A closed fan of squares, cut open, over more than a whole turn: it lies on itself.
+    let points = (0..=9).flat_map(|k| [1.0, 2.0].map(|r| DVec2::from_angle(0.9 * f64::from(k)) * r + 5.0)).collect();
+    let faces = (0..9).flat_map(|k| [[2 * k, 2 * k + 1, 2 * k + 3], [2 * k, 2 * k + 3, 2 * k + 2]]);
+    let ramp = atlas(points, faces.map(|f| f.map(UvId)).collect());
+    let before = bare(&ramp);
+    let of =
+        |after: &Atlas, may: bool| check_with(&bare(after), after, Exactness::Exact, may).err().unwrap_or_default();
+    let overlaps = |found: Vec<Violation>| found.iter().filter(|v| matches!(v, Violation::Overlap(..))).count();
+    assert!(overlaps(faults(&before, &ramp)) > 0);
+    assert_eq!(of(&ramp, true), Vec::new());
+    let with = |at: f64| Atlas { sheets: vec![[64, 64]], ..join(&ramp, &sheet(2, 2, DVec2::new(at, 5.0))) };
+    assert_eq!(of(&with(20.0), true), Vec::new());
+    assert!(overlaps(of(&with(5.5), true)) > 0, "another chart lies on it");
 }

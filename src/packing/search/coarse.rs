@@ -103,8 +103,18 @@ impl Search<'_> {
         widths.dedup();
         let height = self.limit(1, shapes);
         let frontiers = self.tuning.frontiers != Frontiers::Nowhere;
+        // A piece that is alone lies the same on every strip.
+        if self.request.pieces.len() == 1 {
+            widths = vec![narrowest.min(limit)];
+        }
         let mut plans = Vec::new();
-        for order in &self.orders(shapes) {
+        let mut orders = self.orders(shapes);
+        if let [first, ..] = orders.as_slice()
+            && orders.iter().all(|order| order == first)
+        {
+            orders.truncate(1);
+        }
+        for order in &orders {
             for &width in &widths {
                 for &rule in &RULES[..2] {
                     plans.push(Plan { order: order.clone(), width, height, rule, partial: false, frontiers });

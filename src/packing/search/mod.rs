@@ -15,7 +15,8 @@ use super::outline::Outline;
 use super::shape::Shapes;
 use super::sheet::SheetObjective;
 use super::tuning::Tuning;
-use super::{Move, Packing, Request};
+use super::{Move, Packing, Piece, Request};
+use crate::atlas::bvh::Bounds;
 use crate::context::Context;
 use crate::error::Result;
 use crate::packing::PackSearch;
@@ -24,6 +25,8 @@ use crate::packing::PackSearch;
 const THOROUGH_WORK: f64 = 2e9;
 /// The part of it that the thorough search spends at most on the plans of the fast one, with which it begins.
 const FAST_PART: f64 = 0.08;
+/// One over the least effort for which all finalists are built.
+const FULL: f64 = 8.0;
 /// Rules that plans choose from: the growth of the strip's used height counts most (Box Cutter, section 3.3), then what stays low.
 pub(crate) const RULES: [PlacementRule; 3] = [
     PlacementRule { growth: 4.0, top: 1.0, low: 0.0 },
@@ -55,18 +58,34 @@ pub fn pack(request: &Request<'_>, context: &Context) -> Result<Packing> {
     let mut rank = vec![0; n];
     by_area.iter().enumerate().for_each(|(r, &piece)| rank[piece] = r);
     let total = request.pieces.iter().map(|p| p.area).sum::<f64>().max(1e-12);
-    let orientations: Vec<Vec<Orientation>> = request
+    let mut orientations: Vec<Vec<Orientation>> = request
         .pieces
         .par_iter()
         .zip(&rank)
         .map(|(p, &rank)| orientations(p, request.rotation, request.mirror, angles(p.area / total, rank)))
         .collect();
+    if let ([piece], [own]) = (request.pieces, orientations.as_mut_slice()) {
+        *own = least_sheet(request, piece, own).into_iter().collect();
+    }
     let side = (total * request.scale.powi(2) / 0.7).sqrt().max(1e-6);
     let longest = request.pieces.iter().map(|p| p.diagonal() * request.scale).fold(0.0, f64::max);
     let span = 3.0 * side + longest + 64.0 * request.spacing.unit;
     let outlines: Vec<Outline> = request.pieces.par_iter().map(Outline::new).collect();
     let tuning = Tuning::of(n);
     Search { request, tuning, outlines: &outlines, orientations: &orientations, context, side, span }.run()
+}
+
+/// The orientation in which a piece that is alone needs the least sheet: the first of those.
+fn least_sheet(request: &Request<'_>, piece: &Piece, all: &[Orientation]) -> Option<Orientation> {
+    let sheet = SheetObjective::new(request, 1.0);
+    let cost = |o: &Orientation| {
+        let turn = o.matrix() * request.scale;
+        let size = Bounds::around(piece.triangles.iter().flatten().map(|p| turn * *p)).or_zero().size();
+        sheet.cost(size.x, size.y)
+    };
+    let costs = all.iter().map(|o| (cost(o), *o));
+    // What rounding tells apart is the same.
+    costs.reduce(|best, next| if next.0 < best.0 * (1.0 - 1e-9) { next } else { best }).map(|(_, o)| o)
 }
 
 impl Request<'_> {
@@ -108,7 +127,7 @@ impl Search<'_> {
         self.context.step(0.1, "searching")?;
         // The thorough search begins exactly as the fast one, so that it is never worse.
         let mut found = self.coarse(&coarse, PackSearch::Fast)?;
-        found.best.truncate(self.tuning.finalists);
+        found.best.truncate(self.finalists_tried());
         if thorough {
             let more = self.coarse(&coarse, PackSearch::Thorough)?;
             found.work += more.work;
@@ -130,6 +149,12 @@ impl Search<'_> {
             Some((_, worse)) => Packing { work: work + worse.work, ..packing },
             None => packing,
         })
+    }
+
+    /// Finalists of the fast search: all, or the fewer the less effort is asked for.
+    fn finalists_tried(&self) -> usize {
+        let all = self.tuning.finalists;
+        ((all as f64 * self.request.effort * FULL).ceil() as usize).clamp(1, all)
     }
 
     /// Whether the job was canceled.

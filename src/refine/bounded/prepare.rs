@@ -338,6 +338,15 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
     let density_of: Vec<f64> = charts.faces.iter().map(|faces| density(atlas, faces)).collect();
     let density_by_face: Vec<f64> = charts.of_face.iter().map(|c| density_of[c.index()]).collect();
     mesh.divide_by_chart(|f| charts.of_face[f.index()].0);
+    // What is nowhere to be seen needs no texels, and may lie as it does. All of it may be at one vertex of the surface, where no edge is told from another.
+    let mut held = held.to_vec();
+    for faces in &charts.faces {
+        if !held[faces[0].index()] && is_unseen(&mesh, faces) {
+            shrink(&mut mesh, faces);
+            faces.iter().for_each(|f| held[f.index()] = true);
+        }
+    }
+    let held = held.as_slice();
     let mut opened = divide_windings(&mut mesh, held);
     divide_fans(&mut mesh, held);
     for _ in 0..ROUNDS {
@@ -367,13 +376,14 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
             break;
         }
         labels.extend(&super::subdivide::split_at_middles(&mut mesh, &short));
+        divide_fans(&mut mesh, held);
     }
     let held = |f: FaceId| held.get(f.index()).copied().unwrap_or(false);
     let charts = Charts::new(mesh.topology());
     let mut disks = Vec::new();
     for faces in charts.faces.into_iter().filter(|faces| !held(faces[0])) {
-        // What is nowhere to be seen needs no texels, and may lie as it does.
-        if !faces.iter().any(|f| is_shape(&flattened(mesh.atlas().triangle(*f)))) {
+        // What divisions have left of a chart may be unseen too.
+        if is_unseen(&mesh, &faces) {
             shrink(&mut mesh, &faces);
             continue;
         }
@@ -419,6 +429,11 @@ pub(super) fn prepare(atlas: &Atlas, held: &[bool], interrupt: &(dyn Fn() -> Res
         }
     }
     Ok(prepared)
+}
+
+/// Whether no face of a chart has an area on the surface.
+fn is_unseen(mesh: &Mesh, faces: &[FaceId]) -> bool {
+    !faces.iter().any(|f| is_shape(&flattened(mesh.atlas().triangle(*f))))
 }
 
 /// Makes a chart small that has no area on the surface: no longer than a square of its area in the layout, or a texel.

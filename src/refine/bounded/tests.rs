@@ -9,7 +9,7 @@ use super::arrangement::arrange;
 use super::construct::AlignedDisk;
 use super::*;
 use crate::atlas::testing::{Rng, atlas as made, cut_open, join, sheet, soup};
-use crate::atlas::{Exactness, UvId, check};
+use crate::atlas::{Exactness, UvId, check, orientation};
 use crate::context::Context;
 use crate::metrics::{MeasureInputs, measure};
 use crate::packing::Gutter;
@@ -299,6 +299,28 @@ fn a_sieve_becomes_one_disk() {
     assert_eq!(map.boundary.len(), borders + 2 * 144);
     let (staged, _) = run(&start, &Bounded::default(), &options(0, OverlapMode::Separate));
     is_packed(&staged, 0.8);
+}
+
+#[test]
+fn what_lies_in_one_point_of_the_surface_keeps_its_shape() {
+    // Three faces about one of their corners, larger in the layout than on the surface: there all corners are one vertex, so that any edge might be any other.
+    let points = [(2.1, 2.9), (1.8, 2.8), (1.5, 2.95), (2.6, 1.3)].map(|(x, y)| DVec2::new(x, y) + 30.0);
+    let mut fan = made(points.to_vec(), [[0, 1, 2], [2, 1, 3], [1, 0, 3]].map(|f| f.map(UvId)).to_vec());
+    fan.surface.triangles = vec![[fan.surface.triangles[0][0]; 3]; 3];
+    let start = join(&shape(8, 8, |x, y| x >= 3 && y >= 3, 0.2), &fan);
+    let prepared = prepare(&start, &vec![false; start.face_count()], &|| Ok(())).unwrap();
+    let after = prepared.mesh.atlas();
+    assert_eq!((prepared.disks.len(), after.face_count()), (1, start.face_count()));
+    let (staged, codes) = run(&start, &Bounded::default(), &options(0, OverlapMode::Separate));
+    let sign = |atlas: &Atlas, f: FaceId| {
+        let [a, b, c] = atlas.uv_triangle(f);
+        orientation(a, b, c)
+    };
+    for f in start.faces().skip(start.face_count() - 3) {
+        assert_eq!(sign(&staged.atlas, f), sign(&start, f), "{f:?}");
+    }
+    assert_eq!(staged.figures["bound_met"], true);
+    assert!(codes.is_empty(), "{codes:?}");
 }
 
 #[test]

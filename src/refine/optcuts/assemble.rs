@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 
+use super::params::Quality;
 use super::pieces::Piece;
 use crate::atlas::groups::sorted_unique;
 use crate::atlas::{Atlas, Charts, FaceId, HalfEdge, Topology, UvId, VertexId};
@@ -42,7 +43,12 @@ pub(super) fn mean_density(atlas: &Atlas) -> f64 {
 ///
 /// # Errors
 /// Those of packing.
-pub(super) fn assemble(input: &StageInput<'_>, solved: &[Solved], held: &[bool]) -> Result<(Atlas, u64)> {
+pub(super) fn assemble(
+    input: &StageInput<'_>,
+    solved: &[Solved],
+    held: &[bool],
+    quality: Quality,
+) -> Result<(Atlas, u64)> {
     let atlas = input.atlas;
     let n = atlas.face_count();
     let mean = mean_density(atlas);
@@ -72,7 +78,7 @@ pub(super) fn assemble(input: &StageInput<'_>, solved: &[Solved], held: &[bool])
     let charts = Charts::new(&Topology::new(&part));
     let free: Vec<bool> = charts.faces.iter().map(|faces| moved[faces[0].index()]).collect();
     let options = options(input);
-    let (part, work) = lay_out(&StageInput { atlas: &part, options: &options, ..*input }, &[], &free, 1.0)?;
+    let (part, work) = lay_out(&StageInput { atlas: &part, options: &options, ..*input }, &[], &free, effort(quality))?;
     for (i, f) in laid.iter().enumerate() {
         next.corners[f.index()] = part.corners[i];
         next.page[f.index()] = part.page[i];
@@ -81,6 +87,14 @@ pub(super) fn assemble(input: &StageInput<'_>, solved: &[Solved], held: &[bool])
     next.sheets = part.sheets;
     collapse(&mut next);
     Ok((next, work))
+}
+
+/// Part of packing's own budget: whoever wants a layout soon does not wait for its packing either.
+fn effort(quality: Quality) -> f64 {
+    match quality {
+        Quality::Fast => 0.1,
+        Quality::Balanced | Quality::Best => 1.0,
+    }
 }
 
 /// What packing is asked for: on a sheet without images charts are scaled to fill a square, because what is to be painted on it is of no

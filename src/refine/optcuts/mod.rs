@@ -58,6 +58,8 @@ const SOLVING: f64 = 0.85;
 /// `too_large` when a chart fits on no sheet, `canceled`.
 pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged> {
     let StageInput { atlas, sheet_info, context, .. } = *input;
+    // A texel cannot show two places.
+    let params = &OptCuts { bijective: params.bijective || !sheet_info.is_virtual, ..params.clone() };
     let kept = |stopped_by| Staged { atlas: atlas.clone(), stopped_by, figures: Map::new(), kept: true };
     if !atlas.has_layout() && params.start == Start::Uploaded {
         let text = format!(
@@ -91,7 +93,7 @@ pub(crate) fn optcuts(input: &StageInput<'_>, params: &OptCuts) -> Result<Staged
     let left = outcomes.iter().fold(0.0, |sum, o| sum + o.solution.seam_length);
     let solved: Vec<Solved> =
         outcomes.into_iter().map(|o| Solved { piece: o.piece, atlas: o.solution.atlas }).collect();
-    let (next, packing) = assemble(input, &solved, &held)?;
+    let (next, packing) = assemble(input, &solved, &held, params.quality)?;
 
     let share = |of: &[bool]| {
         let own = atlas.faces().filter(|f| of[f.index()]).fold(0.0, |sum, f| sum + atlas.area(f));

@@ -23,7 +23,7 @@ params! {
         /// where there is no layout.
         pub max_distortion: MaxDistortion = MaxDistortion::AtMost(4.1);
         /// Whether no two faces of a connected part of the surface may overlap (section 6.4); what overlaps itself is told by the report's
-        /// `overlap_fraction`.
+        /// `overlap_fraction`. Layouts with images never overlap: a texel cannot show two places.
         pub bijective: bool = true;
         /// How much is tried.
         pub quality: Quality = Quality::Balanced;
@@ -39,6 +39,10 @@ impl Stage for OptCuts {
     const DESCRIPTION: &'static str = "Cuts and flattens the surface with the shortest seams that a bound on distortion allows, then packs the charts.";
     const WEIGHT: f64 = 12.0;
     const NEEDS_LAYOUT: bool = false;
+
+    fn may_overlap(&self) -> bool {
+        !self.bijective
+    }
 
     fn run(&self, input: &StageInput<'_>) -> Result<Staged> {
         super::optcuts(input, self)
