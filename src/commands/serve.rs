@@ -14,6 +14,9 @@ use intarsia::http::sites::Sites;
 use intarsia::jobs::Jobs;
 use intarsia::jobs::otlp::Otlp;
 use tokio::time::timeout;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// How long, beyond the grace of running jobs, requests and jobs may take to end when the service is told to stop.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -122,10 +125,14 @@ async fn told_to_stop() {
 }
 
 fn log(arguments: &Serve) {
-    let lines = tracing_subscriber::fmt().with_max_level(arguments.log_level).with_writer(std::io::stderr);
+    let level = arguments.log_level;
+    // What a database answers while it restarts is told by whoever asked it, once.
+    let database = if level > LevelFilter::INFO { level } else { level.min(LevelFilter::ERROR) };
+    let targets = Targets::new().with_default(level).with_target("sqlx", database);
+    let lines = tracing_subscriber::fmt().with_max_level(level).with_writer(std::io::stderr);
     let lines = lines.with_ansi(std::io::stderr().is_terminal());
     match arguments.log_format {
-        LogFormat::Text => lines.init(),
-        LogFormat::Json => lines.json().init(),
+        LogFormat::Text => lines.finish().with(targets).init(),
+        LogFormat::Json => lines.json().finish().with(targets).init(),
     }
 }

@@ -54,17 +54,40 @@ const CORNERS: [f64; 5] = [0.02, 0.004, 0.0008, 0.08, 0.4];
 const ROOMY: f64 = 0.1;
 /// Constructions, and packing efficiency beyond the bound, that are tried where gutters cost so much that the bound is missed: with fewer corners.
 const WITH_GUTTERS: [(usize, f64); 4] = [(3, 0.0), (3, 0.03), (4, 0.0), (4, 0.03)];
-/// What is tried: a construction, and packing efficiency of the boxes beyond the bound, which reduction may use up. Seams get longer, distortion less.
-const LADDER: [(usize, f64); 8] =
-    [(0, 0.04), (0, 0.09), (1, 0.09), (1, 0.13), (2, 0.13), (1, 0.16), (2, 0.165), (2, 0.185)];
+/// What is tried: a construction, and packing efficiency of the boxes beyond the bound, which reduction may use up. In the first eight seams get longer, distortion
+/// less; the others are tried at last where nothing is large. On 23 maps of one chart each, at a bound of .8, they take the mean growth of the seams from 46 to
+/// 39 % and that of the distortion from .78 to .54 %.
+const LADDER: [(usize, f64); 18] = [
+    (0, 0.04),
+    (0, 0.09),
+    (1, 0.09),
+    (1, 0.13),
+    (2, 0.13),
+    (1, 0.16),
+    (2, 0.165),
+    (2, 0.185),
+    (0, 0.02),
+    (0, 0.06),
+    (0, 0.15),
+    (1, 0.02),
+    (1, 0.11),
+    (2, 0.04),
+    (2, 0.09),
+    (3, 0.06),
+    (3, 0.16),
+    (4, 0.09),
+];
+/// The first of those that are tried at last.
+const LAST: usize = 8;
 /// Parts of sides between which trails may start where corners do not suffice for the bound, in parts of the square root of the area of all charts.
 const PARTS: [f64; 3] = [0.25, 0.12, 0.06];
 /// Highest packing efficiency that boxes are searched for.
 const TIGHTEST: f64 = 0.985;
 /// How much more distortion than in the input is no more, relative to it.
 const AS_GOOD: f64 = 5e-4;
-/// What more distortion than in the input counts, relative to it, in parts of the seams before.
+/// What more distortion than in the input counts, relative to it, in parts of the seams before; and where short seams are what is asked for.
 const WORSE: f64 = 40.0;
+const WORSE_FOR_SHORT: f64 = 10.0;
 /// Faces above which few attempts must do: constructions with many corners, which distort least.
 const LARGE: usize = 15_000;
 /// Vertices that steps may have moved before something more is tried.
@@ -343,15 +366,15 @@ impl Job<'_> {
         let mut gap = sheet::gap(self.input);
         let has_gutters = gap > 0.0;
         // Where gutters leave no room for cuts, charts with few corners are what may reach the bound.
-        let rounds = if has_gutters && !is_paper && squares(prepared, gap) < bound + ROOMY { 0 } else { 3 };
+        let rounds = if has_gutters && !is_paper && squares(prepared, gap) < bound + ROOMY { 0 } else { 4 };
         for round in 0..rounds {
             for k in wave.iter().map(|k| LADDER[*k].0) {
                 if constructed[k].is_none() {
-                    context.step(0.15 + 0.25 * f64::from(round), "making charts axis-aligned")?;
+                    context.step(0.15 + 0.18 * f64::from(round), "making charts axis-aligned")?;
                     constructed[k] = self.construct(prepared, k, f64::INFINITY)?;
                 }
             }
-            context.step(0.3 + 0.25 * f64::from(round), "dividing, packing and relaxing")?;
+            context.step(0.3 + 0.18 * f64::from(round), "dividing, packing and relaxing")?;
             let one = |k: &usize| {
                 let (corner, slack) = LADDER[*k];
                 constructed[corner].as_ref().map(|c| self.attempt(c, goal(slack), before, gap, &kept)).transpose()
@@ -377,12 +400,15 @@ impl Job<'_> {
             {
                 break;
             }
+            if wave.contains(&LAST) {
+                break;
+            }
             wave = match (round, good.as_slice()) {
                 (0, [true, ..]) => vec![0],
                 (0, [false, true]) => vec![2],
                 (0, _) => vec![4, 5],
                 (1, [false, false]) => vec![6, 7],
-                _ => break,
+                _ => (LAST..LADDER.len()).collect(),
             };
         }
         for (corner, slack) in WITH_GUTTERS.into_iter().filter(|_| has_gutters && !is_paper) {
@@ -414,11 +440,12 @@ impl Job<'_> {
         let allowed =
             params.max_boundary_length.filter(|_| seams > 0.0).map_or(f64::INFINITY, |most| (most - 1.0) * seams);
         // The bound first, then the limit on seams, then distortion and seams together.
+        let price = if params.straight_cuts_alone { WORSE_FOR_SHORT } else { WORSE };
         let value = |a: &Attempt| {
             let missing = (bound - a.efficiency).max(0.0);
             let over = (a.cut - allowed).max(0.0) / border;
             let worse = (a.distortion / before - 1.0 - AS_GOOD).max(0.0);
-            (missing, over, WORSE * worse + a.cut / border)
+            (missing, over, price * worse + a.cut / border)
         };
         let best = attempts.into_iter().min_by(|a, b| {
             let (a, b) = (value(a), value(b));
