@@ -8,10 +8,11 @@
 //! names too. Every other parameter of an ablation is what the flags say.
 
 mod common;
+mod surfaces;
 
 use std::path::Path;
 
-use intarsia::asset::{File, Limits, MaterialIndex, UvSet, load, read, read_paths};
+use intarsia::asset::{File, UvSet, read_paths};
 use intarsia::atlas::{Atlas, FaceId, OverlapMode};
 use intarsia::context::Context;
 use intarsia::packing::Gutter;
@@ -131,12 +132,8 @@ fn in_columns([a, b, c, d]: &[f64; 4]) -> String {
 /// An OBJ model as one file whose vertices are white above the middle of its height and black below.
 fn painted(path: &Path) -> Option<Vec<File>> {
     let text = std::fs::read_to_string(path).ok()?;
-    let vertex = |line: &str| -> Option<[f64; 3]> {
-        let mut numbers = line.strip_prefix("v ")?.split_whitespace().map(|w| w.parse::<f64>().ok());
-        Some([numbers.next()??, numbers.next()??, numbers.next()??])
-    };
-    let middle = middle(text.lines().filter_map(vertex).map(|[_, y, _]| y));
-    let line = |line: &str| match vertex(line) {
+    let middle = middle(text.lines().filter_map(surfaces::vertex).map(|[_, y, _]| y));
+    let line = |line: &str| match surfaces::vertex(line) {
         Some([x, y, z]) => {
             let colour = if y > middle { 1 } else { 0 };
             format!("v {x} {y} {z} {colour} {colour} {colour}\n")
@@ -157,11 +154,7 @@ fn middle(values: impl Iterator<Item = f64>) -> f64 {
 fn halves(files: &[File], options: &Options) -> Result<[f64; 2], String> {
     let (outcome, _) = common::run(files.to_vec(), options, &Context::silent())?;
     let model = outcome.artifacts.into_iter().find(|a| a.role == "model").ok_or("there is no model")?;
-    let files = [File { path: "model.glb".to_owned(), bytes: model.bytes }];
-    let (doc, _) = load(&files, None, &Limits::default()).map_err(|e| e.to_string())?;
-    let index = MaterialIndex::new(&doc).map_err(|e| e.to_string())?;
-    let sets = read(&doc, &index, options.atlas.reading(), &Context::silent()).map_err(|e| e.to_string())?;
-    let atlas = sets.into_iter().next().ok_or("there is no atlas")?.atlas;
+    let atlas = surfaces::written(model.bytes, options.atlas.uv_set)?;
     let middle = middle(atlas.surface.positions.iter().map(|p| p.y));
     // At the scale at which the areas are the same.
     let area = |of: &dyn Fn(FaceId) -> f64| atlas.faces().map(of).sum::<f64>();

@@ -5,13 +5,14 @@
 //! lie in `meshes` of `INTARSIA_DATA`, or of `../shared/data`. Each model is refined once, by a process of its own, so that its CPU time is its own.
 
 mod common;
+mod surfaces;
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use intarsia::asset::{File, Limits, MaterialIndex, UvSet, load, read, read_paths};
-use intarsia::atlas::{Atlas, Charts, Topology, overlaps};
+use intarsia::asset::{UvSet, read_paths};
+use intarsia::atlas::{Charts, Topology, overlaps};
 use intarsia::context::Context;
 use intarsia::refine::optcuts::params::{MaxDistortion, OptCuts, Quality, Search};
 use intarsia::refine::options::{Options, Recipe};
@@ -206,7 +207,8 @@ fn one(path: &Path, params: &OptCuts) -> Value {
     let (outcome, _) = common::run(files, &options, &Context::silent()).expect("a layout");
     let model = outcome.artifacts.iter().find(|a| a.role == "model").expect("a model");
     let set = outcome.report["atlases"][0]["uv_sets"][0].as_u64().and_then(|set| u32::try_from(set).ok());
-    let atlas = written(&model.bytes, set.expect("a layout of its own"));
+    let set = UvSet::Number(set.expect("a layout of its own"));
+    let atlas = surfaces::written(model.bytes.clone(), set).expect("the model reads");
     let charts = Charts::new(&Topology::new(&atlas));
     let found = overlaps(&atlas, &charts, 1000);
     let deep =
@@ -222,28 +224,13 @@ fn one(path: &Path, params: &OptCuts) -> Value {
 /// open, and what is told of it is told of that surface. Each further one is moved by a millionth of the extent for each that it is.
 fn vertices_apart(obj: &[u8]) -> Vec<u8> {
     let text = String::from_utf8_lossy(obj);
-    let vertex = |line: &str| -> Option<[f64; 3]> {
-        let mut numbers = line.strip_prefix("v ")?.split_whitespace().map(|w| w.parse::<f64>().ok());
-        Some([numbers.next()??, numbers.next()??, numbers.next()??])
-    };
-    let extent = text.lines().filter_map(vertex).flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
+    let extent = text.lines().filter_map(surfaces::vertex).flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
     let mut known: BTreeMap<[u64; 3], u32> = BTreeMap::new();
     let mut line = |line: &str| {
-        let Some([x, y, z]) = vertex(line) else { return format!("{line}\n") };
+        let Some([x, y, z]) = surfaces::vertex(line) else { return format!("{line}\n") };
         let count = known.entry([x, y, z].map(f64::to_bits)).or_default();
         *count += 1;
         format!("v {} {y} {z}\n", x + f64::from(*count - 1) * 1e-6 * extent)
     };
     text.lines().map(&mut line).collect::<String>().into_bytes()
-}
-
-/// The Atlas of a written model, by one of its TEXCOORD sets.
-fn written(glb: &[u8], set: u32) -> Atlas {
-    let files = [File { path: "model.glb".to_owned(), bytes: glb.to_vec() }];
-    let (doc, _) = load(&files, None, &Limits::default()).expect("the model loads");
-    let index = MaterialIndex::new(&doc).expect("the model is indexed");
-    let mut options = Options::default();
-    options.atlas.uv_set = UvSet::Number(set);
-    let sets = read(&doc, &index, options.atlas.reading(), &Context::silent()).expect("the model reads");
-    sets.into_iter().next().expect("an atlas").atlas
 }

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Holds the OpenAPI document against its readers: run.sh [PROGRAM], or run.sh --install for what it needs alone. Checks it and its examples, generates a Python and a TypeScript client and
-# runs both against a service of PROGRAM (target/debug/intarsia), then lets schemathesis try every call. Without Python or Node.js that part is
+# Holds the OpenAPI document against its readers: run.sh [PROGRAM], or run.sh --install for what it needs alone. Checks it and its examples,
+# generates a Python and a TypeScript client and runs both against a service of PROGRAM (target/debug/intarsia), then lets schemathesis try every call. Without Python or Node.js that part is
 # skipped, aloud.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)

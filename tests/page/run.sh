@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Tries the page in a browser: run.sh [PROGRAM] [more arguments of page.py], or run.sh --install for what it needs alone. Installs Playwright and axe under target/page; the browser is the system's
-# Chromium. Without Python, npm or Chromium nothing is tried, aloud.
+# Tries the page in a browser: run.sh [PROGRAM] [more arguments of page.py], or run.sh --install for what it
+# needs alone. Installs Playwright and axe under target/page; the browser is the system's Chromium. Without Python, npm or Chromium nothing is tried, aloud.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
