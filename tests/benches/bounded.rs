@@ -12,6 +12,7 @@ mod surfaces;
 
 use std::path::Path;
 
+use glam::{DVec2, DVec3};
 use intarsia::asset::{File, UvSet, read_paths};
 use intarsia::atlas::{Atlas, FaceId, OverlapMode};
 use intarsia::context::Context;
@@ -159,29 +160,28 @@ fn halves(files: &[File], options: &Options) -> Result<[f64; 2], String> {
     // At the scale at which the areas are the same.
     let area = |of: &dyn Fn(FaceId) -> f64| atlas.faces().map(of).sum::<f64>();
     let scale = area(&|f| atlas.area(f)) / area(&|f| atlas.uv_area(f).abs());
-    let mut sums = [[0.0; 2]; 2];
+    let mut sums = [DVec3::ZERO; 2];
     for face in atlas.faces() {
-        let Some(energy) = energy(&atlas, face, scale) else { continue };
+        let Some(own) = energy(&atlas, face, scale) else { continue };
         let height = atlas.triangle(face).iter().map(|p| p.y).sum::<f64>() / 3.0;
-        let own = &mut sums[usize::from(height <= middle)];
-        own[0] += energy * atlas.area(face);
-        own[1] += atlas.area(face);
+        sums[usize::from(height <= middle)] += own.extend(1.0) * atlas.area(face);
     }
-    Ok(sums.map(|[sum, area]| sum / area))
+    // A file does not say which aspect its sheet has: that for which the energy of the whole is least.
+    let whole = sums[0] + sums[1];
+    let aspect = (whole.y / whole.x).sqrt();
+    Ok(sums.map(|own| (own.x * aspect + own.y / aspect) / own.z))
 }
 
-/// Symmetric Dirichlet energy of a face over that of one that keeps its shape, where areas in the layout are `scale` times what they are there.
-fn energy(atlas: &Atlas, face: FaceId, scale: f64) -> Option<f64> {
+/// Symmetric Dirichlet energy of a face over that of one that keeps its shape, where areas in the layout are `scale` times what they are there: its parts
+/// of u and of v, of which the first grows and the second shrinks with the aspect of the sheet.
+fn energy(atlas: &Atlas, face: FaceId, scale: f64) -> Option<DVec2> {
     let [p, q, r] = atlas.triangle(face);
     let [a, b, c] = atlas.uv_triangle(face);
     let ((e, f), (u, v)) = ((q - p, r - p), (b - a, c - a));
     let gram = e.length_squared() * f.length_squared() - e.dot(f).powi(2);
     let determinant = u.perp_dot(v).powi(2) * scale * scale;
-    let norm = scale
-        * (f.length_squared() * u.length_squared() - 2.0 * e.dot(f) * u.dot(v)
-            + e.length_squared() * v.length_squared())
-        / gram;
-    let energy = 0.25 * norm * (1.0 + gram / determinant);
+    let norms = (f.length_squared() * u * u - 2.0 * e.dot(f) * u * v + e.length_squared() * v * v) * scale / gram;
+    let energy = 0.25 * norms * (1.0 + gram / determinant);
     energy.is_finite().then_some(energy)
 }
 
