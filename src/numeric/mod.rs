@@ -7,6 +7,7 @@ pub(crate) mod arap;
 pub(crate) mod cholesky;
 pub(crate) mod dirichlet;
 pub(crate) mod energy;
+pub(crate) mod lbfgs;
 pub(crate) mod multifrontal;
 pub(crate) mod newton;
 pub(crate) mod repair;

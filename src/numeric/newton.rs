@@ -4,6 +4,7 @@ use glam::{DMat2, DVec2};
 
 use super::alignment::AlignedEdge;
 use super::dirichlet::{RestTriangle, step_bound};
+use super::lbfgs::Memory;
 use super::multifrontal::{FIXED, Factor, Structure};
 
 /// What costs energy.
@@ -116,29 +117,30 @@ pub(crate) fn energy(x: &[DVec2], elements: &[Element]) -> f64 {
 /// One step that moves the `free` vertices of `x`. All elements must be injective before, and stay so. `None` where the
 /// energy is not finite.
 pub(crate) fn step(x: &mut [DVec2], elements: &[Element], free: &[u32], workspace: &mut Workspace) -> Option<Step> {
+    steps(x, elements, free, workspace, 1)
+}
+
+/// The same, and then up to `most` - 1 steps more by L-BFGS on the factor of the first one: each costs a solution and no factorisation. Tells the
+/// energies before the first and after the last.
+pub(crate) fn steps(
+    x: &mut [DVec2],
+    elements: &[Element],
+    free: &[u32],
+    workspace: &mut Workspace,
+    most: usize,
+) -> Option<Step> {
     let Workspace { place, factor, structure } = workspace;
     place.resize(x.len().max(place.len()), FIXED);
     free.iter().enumerate().for_each(|(k, &v)| place[v as usize] = k as u32);
     let place_of = |v: u32| if v == FIXED { FIXED } else { place[v as usize] };
     let triangles: Vec<[u32; 3]> = elements.iter().map(|e| e.corners().map(place_of)).collect();
     free.iter().for_each(|&v| place[v as usize] = FIXED);
+    let problem = Problem { elements, free, triangles: &triangles };
 
-    let mut before = 0.0;
-    let mut p = vec![DVec2::ZERO; free.len()];
-    for (element, places) in elements.iter().zip(&triangles) {
-        let (own, gradient) = element.gradient(x);
-        before += own;
-        for (place, g) in places.iter().zip(gradient) {
-            if *place != FIXED {
-                p[*place as usize] -= g;
-            }
-        }
-    }
+    let (before, mut downhill) = problem.downhill(x);
     if !before.is_finite() {
         return None;
     }
-    let gradient = p.iter().map(|g| g.length_squared()).sum::<f64>().sqrt();
-    let downhill = p.clone();
     let at: Vec<DVec2> = free.iter().map(|&v| x[v as usize]).collect();
     // What moves and what hangs together is the same in most steps.
     let (_, structure) = match structure.take().filter(|(of, _)| *of == triangles) {
@@ -154,30 +156,76 @@ pub(crate) fn step(x: &mut [DVec2], elements: &[Element], free: &[u32], workspac
             return None;
         }
     }
-    structure.solve(factor, &mut p);
-
-    let slope: f64 = -downhill.iter().zip(&p).map(|(g, p)| g.dot(*p)).sum::<f64>();
-    let direction = |place: u32| if place == FIXED { DVec2::ZERO } else { p[place as usize] };
-    let bound = elements
-        .iter()
-        .zip(&triangles)
-        .map(|(e, places)| e.step_bound(x, places.map(direction)))
-        .fold(f64::INFINITY, f64::min);
-    let mut alpha = (NEAREST * bound).min(1.0);
-    let none = Step { before, after: before, alpha: 0.0, gradient };
-    if slope.is_nan() || slope >= 0.0 {
-        return Some(none);
-    }
-    for _ in 0..40 {
-        free.iter().zip(at.iter().zip(&p)).for_each(|(&v, (at, p))| x[v as usize] = *at + alpha * *p);
-        let after = energy(x, elements);
-        if after <= before + SUFFICIENT * alpha * slope {
-            return Some(Step { before, after, alpha, gradient });
+    let gradient = downhill.iter().map(|g| g.length_squared()).sum::<f64>().sqrt();
+    let mut whole = Step { before, after: before, alpha: 0.0, gradient };
+    let mut memory = Memory::default();
+    for k in 0..most {
+        let mut p = downhill.clone();
+        memory.solve(&mut p, |b| structure.solve(factor, b));
+        let (after, alpha) = problem.search(x, whole.after, &downhill, &p);
+        (whole.after, whole.alpha) = (after, alpha);
+        if alpha == 0.0 || k + 1 == most {
+            break;
         }
-        alpha *= 0.5;
+        let (_, next) = problem.downhill(x);
+        let change = downhill.iter().zip(&next).map(|(old, new)| *old - *new).collect();
+        p.iter_mut().for_each(|p| *p *= alpha);
+        memory.note(p, change);
+        downhill = next;
     }
-    free.iter().zip(&at).for_each(|(&v, at)| x[v as usize] = *at);
-    Some(none)
+    Some(whole)
+}
+
+/// Elements, the vertices that may move, and the places among those of the elements' corners.
+struct Problem<'a> {
+    elements: &'a [Element],
+    free: &'a [u32],
+    triangles: &'a [[u32; 3]],
+}
+
+impl Problem<'_> {
+    /// The energy, and the direction against its gradient.
+    fn downhill(&self, x: &[DVec2]) -> (f64, Vec<DVec2>) {
+        let mut energy = 0.0;
+        let mut p = vec![DVec2::ZERO; self.free.len()];
+        for (element, places) in self.elements.iter().zip(self.triangles) {
+            let (own, gradient) = element.gradient(x);
+            energy += own;
+            for (place, g) in places.iter().zip(gradient) {
+                if *place != FIXED {
+                    p[*place as usize] -= g;
+                }
+            }
+        }
+        (energy, p)
+    }
+
+    /// Goes along `p` as far as it lowers the energy, which is `before`; gives the energy then and the part of `p` that was gone, 0 where none does.
+    fn search(&self, x: &mut [DVec2], before: f64, downhill: &[DVec2], p: &[DVec2]) -> (f64, f64) {
+        let slope: f64 = -downhill.iter().zip(p).map(|(g, p)| g.dot(*p)).sum::<f64>();
+        let direction = |place: u32| if place == FIXED { DVec2::ZERO } else { p[place as usize] };
+        let bound = self
+            .elements
+            .iter()
+            .zip(self.triangles)
+            .map(|(e, places)| e.step_bound(x, places.map(direction)))
+            .fold(f64::INFINITY, f64::min);
+        let mut alpha = (NEAREST * bound).min(1.0);
+        if slope.is_nan() || slope >= 0.0 {
+            return (before, 0.0);
+        }
+        let at: Vec<DVec2> = self.free.iter().map(|&v| x[v as usize]).collect();
+        for _ in 0..40 {
+            self.free.iter().zip(at.iter().zip(p)).for_each(|(&v, (at, p))| x[v as usize] = *at + alpha * *p);
+            let after = energy(x, self.elements);
+            if after <= before + SUFFICIENT * alpha * slope {
+                return (after, alpha);
+            }
+            alpha *= 0.5;
+        }
+        self.free.iter().zip(&at).for_each(|(&v, at)| x[v as usize] = *at);
+        (before, 0.0)
+    }
 }
 
 #[cfg(test)]

@@ -222,8 +222,8 @@ impl CutMap {
         self.mesh.uv_at(h.next())
     }
 
-    /// One Newton step of the whole map; gives E_d before and after with what the void costs, and how far it went.
-    pub fn global_step(&mut self) -> Option<newton::Step> {
+    /// One Newton step of the whole map, and `most` - 1 by L-BFGS after it; gives E_d before and after with what the void costs, and how far it went.
+    pub fn global_steps(&mut self, most: usize) -> Option<newton::Step> {
         let elements: Vec<Element> = self.mesh.atlas().faces().map(|f| self.element(f)).collect();
         let mut free = vec![false; self.x.len()];
         elements.iter().flat_map(Element::corners).for_each(|v| free[v as usize] = true);
@@ -231,11 +231,11 @@ impl CutMap {
         if self.bijective {
             let borders: Vec<[u32; 2]> = self.borders.iter().map(|h| self.mesh.uv_ends(*h).map(|u| u.0)).collect();
             let walls = borders.len();
-            return self.step_in_void(elements, &free, borders, walls, 0.5);
+            return self.step_in_void(elements, &free, borders, walls, 0.5, most);
         }
         // Nothing else holds it.
         free.remove(0);
-        newton::step(&mut self.x, &elements, &free, &mut self.workspace)
+        newton::steps(&mut self.x, &elements, &free, &mut self.workspace, most)
     }
 
     /// One Newton step of the vertices within `rings` edges of some.
@@ -257,7 +257,7 @@ impl CutMap {
         }
         if reached.len() as f64 > MOST_LOCAL * self.x.len() as f64 {
             self.moved = self.x.len();
-            return self.global_step();
+            return self.global_steps(1);
         }
         reached.sort_unstable();
         self.moved = reached.len();
@@ -304,10 +304,10 @@ impl CutMap {
             }
         }
         walls.extend(inner);
-        self.step_in_void(elements, &reached, walls, borders, 0.1)
+        self.step_in_void(elements, &reached, walls, borders, 0.1, 1)
     }
 
-    /// A step with the void about the elements triangulated.
+    /// Steps with the void about the elements triangulated.
     fn step_in_void(
         &mut self,
         mut elements: Vec<Element>,
@@ -315,6 +315,7 @@ impl CutMap {
         walls: Vec<[u32; 2]>,
         borders: usize,
         margin: f64,
+        most: usize,
     ) -> Option<newton::Step> {
         let mut points: Vec<u32> = walls.iter().flatten().copied().collect();
         points.sort_unstable();
@@ -346,7 +347,7 @@ impl CutMap {
                 elements.push(Element::Triangle { corners, rest });
             }
         }
-        let step = newton::step(&mut self.x, &elements, free, &mut self.workspace);
+        let step = newton::steps(&mut self.x, &elements, free, &mut self.workspace, most);
         self.x.truncate(n);
         step
     }

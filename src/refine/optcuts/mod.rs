@@ -5,6 +5,7 @@
 
 mod assemble;
 mod cut_map;
+mod judge;
 mod operations;
 pub mod params;
 mod pieces;
@@ -20,19 +21,18 @@ mod uploaded;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
 use self::assemble::{Solved, assemble};
+use self::judge::mended;
 use self::params::{ISOMETRIC, MOST, MaxDistortion, OptCuts, Start};
 pub(super) use self::pieces::seam_length;
 use self::pieces::{Piece, Strain, all_apart, divide, is_degenerate, surface_area};
 use self::solver::{Settings, Solution, solve};
 use super::pack::finished;
 use super::stage::{self, StageInput, Staged};
-use crate::atlas::overlap::overlaps_where;
-use crate::atlas::{Atlas, Charts, FaceId, Topology, orientation, penetration};
+use crate::atlas::{Atlas, Charts, FaceId, Topology};
 use crate::error::{Code, Result, Warning};
 
 /// Bound where that of the input is asked for and there is no layout.
@@ -43,10 +43,6 @@ const LEAST_DISTORTION: f64 = 1e-4;
 const LEAST_IMPORTANCE: f64 = 0.01;
 /// Importance from which on nothing is cut where it can be helped.
 const FORBIDDEN: f64 = 1e6;
-/// How deep faces may overlap, in units of the extent of their layout: what rounding makes of faces that touch.
-const ROUNDING: f64 = 1e-11;
-/// What texture coordinates in 32 bits can tell apart, in units of the extent of their layout.
-const WRITTEN: f64 = 1.0 / (1 << 23) as f64;
 /// Reasons to end that are limits of the user's.
 const LIMITS: [&str; 2] = ["time_limit", "work_budget"];
 /// Part of the stage's progress that the pieces are.
@@ -226,9 +222,9 @@ fn solve_one(
         Ok(context.out_of_time())
     };
     let wrong = match solve(piece.atlas.clone(), weights, &settings, &interrupt) {
-        Ok(solution) => match fault(&piece.atlas, &solution.atlas, params.bijective) {
-            None => return Ok((bound, solution)),
-            Some(fault) => fault.to_owned(),
+        Ok(solution) => match mended(&piece.atlas, solution, params.bijective) {
+            Ok(solution) => return Ok((bound, solution)),
+            Err(what) => what,
         },
         Err(failure) if failure.code == Code::Canceled => return Err(failure),
         Err(failure) => failure.message,
@@ -250,42 +246,7 @@ fn solve_one(
 fn unsearched(atlas: Atlas, bound: f64, stopped_by: &'static str) -> Solution {
     let distortion = Strain::of(&atlas).energy();
     let (seam_length, bound_met) = (seam_length(&atlas), distortion <= bound * (1.0 + 1e-9));
-    Solution { atlas, distortion, seam_length, bound_met, stopped_by, iterations: 0, work: 0 }
-}
-
-/// What is wrong with the layout of a piece, recomputed from scratch.
-fn fault(piece: &Atlas, solved: &Atlas, bijective: bool) -> Option<&'static str> {
-    if solved.surface.triangles != piece.surface.triangles || solved.corners.len() != piece.corners.len() {
-        return Some("its faces are others");
-    }
-    if solved.corners.iter().flatten().any(|u| u.index() >= solved.uv.len()) {
-        return Some("a face has no UVs");
-    }
-    let mut owner = vec![None; solved.uv.len()];
-    let mut corners = solved.corners.iter().flatten().zip(solved.surface.triangles.iter().flatten());
-    if corners.any(|(u, v)| *owner[u.index()].get_or_insert(*v) != *v) {
-        return Some("a UV vertex belongs to two vertices");
-    }
-    let down = |f: FaceId| {
-        let [a, b, c] = solved.uv_triangle(f);
-        !(a.is_finite() && b.is_finite() && c.is_finite()) || orientation(a, b, c) <= 0
-    };
-    if solved.faces().any(down) {
-        return Some("a face is turned over or has lost its area");
-    }
-    // Moving charts rounds the last digits.
-    let extent = solved.uv.iter().fold(0.0, |most: f64, p| most.max(p.abs().max_element()));
-    let written = |p: DVec2| (p / extent / WRITTEN).round();
-    let lost = |f: FaceId| {
-        let [a, b, c] = solved.uv_triangle(f).map(written);
-        orientation(a, b, c) <= 0
-    };
-    if solved.faces().any(lost) {
-        return Some("a face is too small to be written in 32 bits");
-    }
-    let deep = |f, g| penetration(&solved.uv_triangle(f), &solved.uv_triangle(g)) > ROUNDING * extent;
-    let overlap = || !overlaps_where(solved, 1, deep).0.is_empty();
-    (bijective && overlap()).then_some("two faces overlap")
+    Solution { atlas, distortion, seam_length, bound_met, stopped_by, iterations: 0, work: 0, detached: 0 }
 }
 
 /// The energy of the uploaded layout of some faces, at the scale at which it is least.
@@ -316,6 +277,7 @@ fn sum(outcomes: &[Outcome], params: &OptCuts) -> (Map<String, Value>, &'static 
         ("iterations".to_owned(), json!(outcomes.iter().map(|o| o.solution.iterations).sum::<u64>())),
         ("work".to_owned(), json!(outcomes.iter().map(|o| o.solution.work).sum::<u64>())),
         ("pieces_reverted".to_owned(), json!(outcomes.iter().filter(|o| o.solution.stopped_by == "reverted").count())),
+        ("detached_faces".to_owned(), json!(outcomes.iter().map(|o| o.solution.detached).sum::<usize>())),
         ("polished_pieces".to_owned(), json!(outcomes.iter().filter(|o| o.piece.density.is_some()).count())),
     ]);
     (figures, most.map_or("done", |m| m.0))

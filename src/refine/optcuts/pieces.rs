@@ -342,7 +342,7 @@ pub(super) fn face_up(atlas: &mut Atlas, scale: f64) {
 }
 
 /// Places for boxes of these sizes in rows, so that none meets another.
-fn shelves(sizes: impl Iterator<Item = DVec2>, gap: f64) -> Vec<DVec2> {
+pub(super) fn shelves(sizes: impl Iterator<Item = DVec2>, gap: f64) -> Vec<DVec2> {
     let sizes: Vec<DVec2> = sizes.collect();
     let area: f64 = sizes.iter().map(|s| (*s + gap).element_product()).sum();
     let width = sizes.iter().map(|s| s.x).fold(area.sqrt(), f64::max);

@@ -14,7 +14,7 @@ impl Search<'_> {
     /// `canceled`.
     pub fn run_as_published(&mut self) -> Result<&'static str> {
         self.published = true;
-        self.relax(1e-6, 1000)?;
+        self.relax(1e-6, 1000, 0)?;
         self.visit();
         let aim = self.bound - 0.5 * SLACK;
         let mut visited: BTreeSet<[i64; 3]> = BTreeSet::new();
@@ -34,7 +34,7 @@ impl Search<'_> {
                 all.extend(interior);
             }
             if seed.is_none() {
-                self.relax(1e-7, 100)?;
+                self.relax(1e-7, 100, 0)?;
                 self.visit();
                 let within = self.distortion <= self.bound && self.distortion >= self.bound - SLACK;
                 if within || (self.lambda - last).abs() < 1e-3 && self.distortion <= self.bound {
@@ -56,7 +56,7 @@ impl Search<'_> {
             if let Some(seed) = seed {
                 self.propagate(seed, None)?;
             }
-            self.relax(1e-6, 10)?;
+            self.relax(1e-6, 10, 0)?;
             self.visit();
             let state = [self.map.seam_length(), self.distortion, self.lambda].map(|v| (v * 1e4).round() as i64);
             if !visited.insert(state) {

@@ -151,14 +151,14 @@ impl<'a> Search<'a> {
         if self.interrupted { Some("time_limit") } else { (self.work >= self.budget).then_some("work_budget") }
     }
 
-    /// Newton steps of the whole map until they gain less than a part of the energy.
-    pub fn relax(&mut self, enough: f64, most: usize) -> Result<()> {
+    /// Steps of the whole map until they gain less than a part of the energy: at most so many of Newton's, each followed by so many of L-BFGS.
+    pub fn relax(&mut self, enough: f64, most: usize, more: usize) -> Result<()> {
         for _ in 0..most {
             if self.stop()? {
                 break;
             }
             self.work += self.map.x.len() as u64;
-            let Some(step) = self.map.global_step() else { break };
+            let Some(step) = self.map.global_steps(1 + more) else { break };
             let now = self.map.distortion();
             let gained = self.distortion - now;
             self.distortion = now;
@@ -171,9 +171,9 @@ impl<'a> Search<'a> {
 
     /// Relaxes lightly, and well where it decides whether the bound holds.
     fn settle(&mut self) -> Result<()> {
-        self.relax(1e-4, 2)?;
+        self.relax(1e-4, 1, 1)?;
         if self.distortion > self.bound && self.distortion < self.bound + SLACK {
-            self.relax(1e-6, 6)?;
+            self.relax(1e-6, 6, 0)?;
         }
         Ok(())
     }
@@ -329,7 +329,7 @@ impl<'a> Search<'a> {
                 let interior = self.operations(true, part);
                 seed = self.seed(&interior);
                 if seed.is_none() && !tight {
-                    self.relax(1e-5, 10)?;
+                    self.relax(1e-5, 5, 1)?;
                     tight = true;
                     continue;
                 }
@@ -375,7 +375,7 @@ impl<'a> Search<'a> {
         if self.distortion > self.bound {
             return Ok(());
         }
-        self.relax(1e-5, 4)?;
+        self.relax(1e-5, 2, 1)?;
         let mut failed = 0;
         let mut refused: BTreeSet<Operation> = BTreeSet::new();
         while failed < 4 && !self.stop()? {
@@ -420,7 +420,7 @@ impl<'a> Search<'a> {
     /// # Errors
     /// `canceled`.
     pub fn run(&mut self, quality: Quality, polish: bool) -> Result<&'static str> {
-        self.relax(1e-4, 100)?;
+        self.relax(1e-4, 100, 1)?;
         self.visit();
         let trials = match quality {
             Quality::Fast => {
@@ -500,7 +500,7 @@ impl<'a> Search<'a> {
             }
         }
         self.distortion = self.map.distortion();
-        self.relax(1e-3, 4)?;
+        self.relax(1e-3, 2, 1)?;
         Ok(!active.is_empty())
     }
 

@@ -46,6 +46,8 @@ pub(super) struct Solution {
     pub iterations: u64,
     /// Units of work.
     pub work: u64,
+    /// Faces that had to become charts of their own.
+    pub detached: usize,
 }
 
 /// What a vertex counts where seams are forbidden: so much that all ways about are shorter, and still a number.
@@ -119,7 +121,7 @@ pub(super) fn solve(
     atlas.surface.positions = positions;
     atlas.uv.iter_mut().for_each(|p| *p /= scale);
     let bound_met = distortion <= settings.bound;
-    Ok(Solution { atlas, distortion, seam_length, bound_met, stopped_by, iterations, work })
+    Ok(Solution { atlas, distortion, seam_length, bound_met, stopped_by, iterations, work, detached: 0 })
 }
 
 /// How many starts there are.

@@ -6,7 +6,7 @@ use super::params::{Quality, Search};
 use super::*;
 use crate::asset::{self, File, Limits, MaterialIndex, ReadOptions, sample};
 use crate::atlas::testing::{cut_open, half_edges_where, join, sheet};
-use crate::atlas::{Exactness, OverlapMode, UvId, check_with, overlaps};
+use crate::atlas::{Exactness, OverlapMode, check_with, overlaps};
 use crate::context::Context;
 use crate::refine::options::{IfLarger, Options};
 use crate::refine::stage::SheetInfo;
@@ -166,27 +166,6 @@ fn weights_are_relative_to_the_least_and_millions_forbid() {
     assert_eq!((at(0.0)[corner], at(1e6)[corner]), (1.0, f64::INFINITY));
     let rest = at(0.5).into_iter().enumerate().filter(|(v, _)| *v != corner);
     assert!(rest.into_iter().all(|(_, w)| w == 4.0));
-}
-
-#[test]
-fn what_is_wrong_with_a_solution_is_seen() {
-    let piece = sheet(2, 2, DVec2::ZERO);
-    assert_eq!(fault(&without_layout(&piece), &piece, true), None);
-    let change = |edit: &dyn Fn(&mut Atlas)| {
-        let mut solved = piece.clone();
-        edit(&mut solved);
-        fault(&without_layout(&piece), &solved, true)
-    };
-    assert!(change(&|a| a.uv[4].x = f64::NAN).is_some());
-    assert!(change(&|a| a.uv[4] = DVec2::new(3.0, 3.0)).is_some(), "a fold");
-    assert!(change(&|a| a.corners[0][0] = UvId(99)).is_some());
-    assert!(change(&|a| a.corners[0][0] = a.corners[0][1]).is_some());
-    assert!(change(&|a| a.corners.truncate(3)).is_some());
-    let squeezed = |height: f64| change(&|a| a.uv.iter_mut().for_each(|p| p.y *= height));
-    assert_eq!(squeezed(1e-5), None);
-    assert_eq!(squeezed(1e-9), Some("a face is too small to be written in 32 bits"));
-    let lap = join(&piece, &piece);
-    assert_eq!((fault(&lap, &lap, true), fault(&lap, &lap, false)), (Some("two faces overlap"), None));
 }
 
 #[test]
