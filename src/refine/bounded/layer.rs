@@ -66,13 +66,14 @@ pub(super) fn layer(points: &[DVec2], width: f64) -> Option<Layer> {
     Some(out)
 }
 
-/// Whether all segments of different charts are at least `gap` apart along one of the axes (Chebyshev distance).
-pub(super) fn are_apart(segments: &[([DVec2; 2], u32)], gap: f64) -> bool {
+/// The pairs of segments of different charts that are less than `gap` apart along both axes (Chebyshev distance), by their indices.
+pub(super) fn too_near(segments: &[([DVec2; 2], u32)], gap: f64) -> Vec<(usize, usize)> {
     let mut order: Vec<usize> = (0..segments.len()).collect();
     let low = |i: usize| segments[i].0[0].min(segments[i].0[1]);
     let high = |i: usize| segments[i].0[0].max(segments[i].0[1]);
     order.sort_by(|&a, &b| low(a).x.total_cmp(&low(b).x).then(a.cmp(&b)));
     let mut open: Vec<usize> = Vec::new();
+    let mut near = Vec::new();
     for &i in &order {
         let x = low(i).x - gap;
         open.retain(|&j| high(j).x > x);
@@ -84,12 +85,12 @@ pub(super) fn are_apart(segments: &[([DVec2; 2], u32)], gap: f64) -> bool {
                 continue;
             }
             if chebyshev(&segments[i].0, &segments[j].0) < gap {
-                return false;
+                near.push((i, j));
             }
         }
         open.push(i);
     }
-    true
+    near
 }
 
 /// The least over all pairs of points of two segments that do not cross of the larger of the distances along the two axes.
@@ -151,7 +152,7 @@ mod tests {
             let own = chebyshev(&s[0], &s[1]);
             if brute > 0.02 {
                 assert!(own <= brute + 1e-12 && own > brute - 0.02, "{own} {brute}");
-                let apart = |gap: f64| are_apart(&[(s[0], 0), (s[1], 1)], gap);
+                let apart = |gap: f64| too_near(&[(s[0], 0), (s[1], 1)], gap).is_empty();
                 assert!(apart(own - 1e-9) && !apart(own + 1e-9));
             }
         }

@@ -29,8 +29,8 @@ pub(super) struct PackedCharts {
     pub fixed: Vec<Bounds>,
     /// The same with the layer about them.
     pub fixed_walls: Vec<Bounds>,
-    /// Whether a chart has no layer though they are to be apart.
-    pub lacks_layer: bool,
+    /// Vertices of charts that have no layer though they are to be apart: these charts stay as they are.
+    pub still: Vec<u32>,
     /// How far charts without a layer are to be apart.
     pub apart: f64,
     /// Area that is covered in them.
@@ -52,6 +52,8 @@ pub(super) struct Reduction {
     pub rounds: usize,
     /// Steps in a round at most.
     pub steps: usize,
+    /// Steps after which no round begins: where layers hold charts apart they would go on for long.
+    pub most: usize,
 }
 
 /// What was reached.
@@ -70,6 +72,8 @@ const SMALLER: f64 = 0.95;
 const SETTLED: f64 = 0.985;
 /// How often a step that leaves the charts packed too loosely is halved.
 const HALVINGS: usize = 8;
+/// Steps that may be undone because they bring charts too near to each other.
+const REFUSALS: usize = 24;
 /// Rounds in which the box grows.
 const GROWING: usize = 6;
 /// Relative decrease of a step below which a round ends.
@@ -96,14 +100,15 @@ impl PackedCharts {
         self.fixed_walls.iter().fold(self.bounds().union(walls), |all, b| all.union(*b))
     }
 
-    /// Whether charts are at least `gap` apart.
-    pub fn are_apart(&self, gap: f64) -> bool {
+    /// The segments that are less than `gap` from one of another chart, by their place in `segments`.
+    fn too_near(&self, gap: f64) -> Vec<usize> {
         let own = self.segments.iter().map(|(s, c)| (s.map(|v| self.x[v as usize]), *c));
         let fixed = self.fixed.iter().zip(u32::MAX - self.fixed.len() as u32..).flat_map(|(b, c)| {
             let corners = corners(b);
             (0..4).map(move |k| ([corners[k], corners[(k + 1) % 4]], c))
         });
-        super::layer::are_apart(&own.chain(fixed).collect::<Vec<_>>(), gap)
+        let near = super::layer::too_near(&own.chain(fixed).collect::<Vec<_>>(), gap);
+        near.into_iter().flat_map(|(i, j)| [i, j]).filter(|i| *i < self.segments.len()).collect()
     }
 
     /// Whether there is a void about the charts: none touches another or itself.
@@ -128,7 +133,9 @@ pub(super) fn reduce(
 ) -> Result<Reduced> {
     let mut workspace = Workspace::default();
     let n = charts.x.len();
-    let free: Vec<u32> = (0..n as u32).collect();
+    let mut is_free = vec![true; n];
+    charts.still.iter().for_each(|v| is_free[*v as usize] = false);
+    let mut free: Vec<u32> = (0..n as u32).filter(|v| is_free[*v as usize]).collect();
     let mut energy = charts.energy();
     let mut taken = 0;
     // The box grows from what the charts need now to what the bound allows, and they press against each other before it does.
@@ -136,15 +143,15 @@ pub(super) fn reduce(
     let middle = 0.5 * (min + max);
     // Smaller than at rest they expand, which packs them more tightly; larger, they would shrink away from each other. What has its distances keeps them.
     let scale = (SMALLER * charts.rest_area / charts.area()).sqrt();
-    if charts.fixed.is_empty() && charts.layer.is_empty() && scale < 1.0 {
+    if charts.fixed.is_empty() && charts.still.is_empty() && charts.layer.is_empty() && scale < 1.0 {
         charts.x.iter_mut().for_each(|p| *p = middle + (*p - middle) * scale);
         energy = charts.energy();
     }
     let size = charts.bounds().size();
     // Where the bound is missed already, what there is is kept.
     let efficiency = goal.efficiency.min(charts.efficiency());
-    let mut good = (charts.x.clone(), energy);
-    for round in 0..goal.rounds {
+    let mut refused = 0;
+    'rounds: for round in 0..goal.rounds {
         if out_of_time() {
             break;
         }
@@ -172,6 +179,19 @@ pub(super) fn reduce(
                 charts.x = kept;
                 break;
             }
+            let near = if goal.gap > 0.0 { charts.too_near(goal.gap) } else { Vec::new() };
+            if !near.is_empty() {
+                // The step is undone, and what came too near stays where it is from here on.
+                charts.x = kept;
+                let ends = near.iter().flat_map(|i| charts.segments[*i].0);
+                let stopped = ends.filter(|v| std::mem::take(&mut is_free[*v as usize])).count();
+                free.retain(|v| is_free[*v as usize]);
+                refused += 1;
+                if stopped == 0 || free.is_empty() || refused == REFUSALS {
+                    break 'rounds;
+                }
+                continue;
+            }
             let now = charts.energy();
             let own = energy - now;
             energy = now;
@@ -180,16 +200,10 @@ pub(super) fn reduce(
                 break;
             }
         }
-        if goal.gap > 0.0 && !charts.are_apart(goal.gap) {
-            // What came too near is undone, and nothing comes nearer after that.
-            break;
-        }
-        good = (charts.x.clone(), energy);
-        if energy <= goal.enough || part >= 1.0 && gained < STILL * energy {
+        if energy <= goal.enough || taken >= goal.most || part >= 1.0 && gained < STILL * energy {
             break;
         }
     }
-    (charts.x, energy) = good;
     Ok(Reduced { energy, steps: taken })
 }
 
@@ -230,7 +244,7 @@ impl Void {
     }
 }
 
-/// One Newton step of all charts and the void between them in a box.
+/// One Newton step of all charts and the void between them in a box, and one of L-BFGS after it.
 fn step(charts: &mut PackedCharts, free: &[u32], sheet: &Bounds, workspace: &mut Workspace) -> Option<newton::Step> {
     let n = charts.x.len();
     let Void { points, fixed, triangles: void } = Void::new(charts, sheet)?;
@@ -253,7 +267,7 @@ fn step(charts: &mut PackedCharts, free: &[u32], sheet: &Bounds, workspace: &mut
             elements.push(Element::Triangle { corners: vertices, rest });
         }
     }
-    let step = newton::step(&mut charts.x, &elements, free, workspace);
+    let step = newton::steps(&mut charts.x, &elements, free, workspace, 2);
     charts.x.truncate(n);
     step
 }

@@ -182,6 +182,8 @@ fn charts_of(
             out.triangles.push(if reversed { [corners[0], corners[2], corners[1]] } else { corners });
             out.rest.push(rest);
         }
+        let own_vertices =
+            || sorted_unique(piece.faces.iter().flat_map(|f| atlas.corners[f.index()]).map(|u| name[u.index()]));
         let Some(loop_) = boundary(mesh, &piece.faces) else {
             // No disk any more: it has its borders, and no layer.
             let all = piece.faces.iter().flat_map(|f| (0..3).map(|k| HalfEdge::of(*f, k)));
@@ -191,7 +193,9 @@ fn charts_of(
                 out.segments.push(([a, b], number));
                 out.walls.push(if reversed { [b, a] } else { [a, b] });
             }
-            out.lacks_layer |= gap > 0.0;
+            if gap > 0.0 {
+                out.still.extend(own_vertices());
+            }
             continue;
         };
         let mut around: Vec<u32> = loop_.iter().map(|h| name[mesh.uv_at(*h).index()]).collect();
@@ -227,7 +231,9 @@ fn charts_of(
                 }
             }
             None => {
-                out.lacks_layer |= has_layer;
+                if has_layer {
+                    out.still.extend(own_vertices());
+                }
                 out.walls.extend(edges);
             }
         }

@@ -399,3 +399,15 @@ fn the_map_is_kept_where_that_is_asked_for_and_threads_do_not_matter() {
     let paper = Bounded { search: Search::Paper, candidates: 100, ..Bounded::default() };
     is_packed(&run(&start, &paper, &options(0, OverlapMode::Separate)).0, 0.8);
 }
+
+#[test]
+fn gutters_do_not_keep_charts_from_being_relaxed() {
+    let mut start = shape(24, 18, |x, y| x >= 9 && (5..13).contains(&y), 0.5);
+    start.uv.iter_mut().for_each(|p| *p *= 12.0);
+    let distortion = |keep_mapping: bool| {
+        let staged = run(&start, &Bounded { keep_mapping, ..Bounded::default() }, &options(4, OverlapMode::Separate)).0;
+        staged.figures["distortion"].as_f64().unwrap()
+    };
+    let (kept, relaxed) = (distortion(true), distortion(false));
+    assert!(relaxed - 1.0 < 0.7 * (kept - 1.0), "{kept} {relaxed}");
+}
