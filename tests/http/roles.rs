@@ -62,7 +62,8 @@ fn uploads_and_results_may_be_kept_elsewhere() {
     damaged[0] ^= 1;
     std::fs::write(&object, damaged).unwrap();
     let server = Server::start(data.path(), &flags);
-    assert!(server.get(href, &[]).body_mut().read_to_vec().is_err());
+    // It breaks off in the body, or, where all of it came at once, before the answer was sent.
+    assert!(server.read(href).is_err());
     assert_eq!(
         server.delete(job["artifacts"][0]["href"].as_str().unwrap().split("/artifacts").next().unwrap()).status(),
         204

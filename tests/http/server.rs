@@ -62,6 +62,11 @@ impl Server {
         headers.iter().fold(request, |r, (k, v)| r.header(*k, *v)).call().unwrap()
     }
 
+    /// The whole body of a GET, or what kept it from coming.
+    pub fn read(&self, path: &str) -> Result<Vec<u8>, ureq::Error> {
+        self.agent.get(format!("{}{path}", self.base)).call().and_then(|mut r| r.body_mut().read_to_vec())
+    }
+
     /// A request without a body.
     pub fn call(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> Response<Body> {
         let request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", self.base));
