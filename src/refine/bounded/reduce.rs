@@ -152,9 +152,6 @@ pub(super) fn reduce(
     let efficiency = goal.efficiency.min(charts.efficiency());
     let mut refused = 0;
     'rounds: for round in 0..goal.rounds {
-        if out_of_time() {
-            break;
-        }
         let (inner, outer) = (charts.bounds(), charts.outer_bounds());
         let part = ((round + 1) as f64 / GROWING as f64).min(1.0);
         let area = SETTLED * charts.rest_area + charts.fixed_area;
@@ -167,6 +164,9 @@ pub(super) fn reduce(
         let mut gained = 0.0;
         for _ in 0..goal.steps {
             interrupt()?;
+            if out_of_time() {
+                break 'rounds;
+            }
             let kept = charts.x.clone();
             let Some(step) = step(charts, &free, &sheet, &mut workspace) else { break };
             taken += 1;
